@@ -8,7 +8,6 @@ from shared import BLOCK_ROBOT, EMPTY_WORLD, PACKAGE
 from bullet_lab.drive import Square, open_loop_side
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.urdf import read_urdf_file
 
 
 @pytest.fixture(autouse=True)
@@ -22,11 +21,6 @@ def _answered_signals():
 @pytest.fixture(scope="session")
 def package():
     return PACKAGE
-
-
-@pytest.fixture(scope="session")
-def block_model():
-    return read_urdf_file(PACKAGE / "urdf" / "block_robot.urdf")
 
 
 @pytest.fixture

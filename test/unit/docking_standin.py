@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Optional, Tuple
+from typing import Optional, Tuple
 
 import numpy as np
 from recorded_paths import make_rule
@@ -150,7 +150,6 @@ class Feed:
         pose: true, of the robot.
         now: s since the start.
         moved: the way (m) and turn (rad) so far, together.
-        truth: (s, x, y, yaw) so far.
         contact: whether the robot touches a wall, which ends the run.
         images: whether any come; likewise `odometry`.
         blocked: whether the wheels turn in vain.
@@ -160,7 +159,6 @@ class Feed:
         self.task, self.stand = task, stand
         self.pose = np.array(stand.start, dtype=float)
         self.now = self.moved = 0.0
-        self.truth: List[Tuple[float, float, float, float]] = []
         self.images = self.odometry = True
         self.blocked = self.contact = False
         self.speeds = np.zeros(2)
@@ -182,7 +180,6 @@ class Feed:
 
     def tick(self) -> None:
         """Give what has come since the tick before, and do what the task commands."""
-        self.truth.append((self.now, *self.pose.tolist()))
         noisy = self._noise.update(*self.pose.tolist())
         if self.odometry:
             covariance = noisy.motion_covariance / TICK**2

@@ -6,6 +6,7 @@ import genpy
 import numpy as np
 import pytest
 import yaml
+from alike import lines_of
 
 from bullet_lab.ros.messages.conversions import Converter
 
@@ -42,6 +43,18 @@ def check(made, fields):
         for part in name.split("."):
             found = getattr(found, part)
         assert plain(found) == near(expected), name
+
+
+def lines_of_message(made, name):
+    """Yield a line for each field of a message, of those in it and of those that it lists."""
+    for field in made.__slots__:
+        value, place = getattr(made, field), f"{name}.{field}"
+        parts = value if isinstance(value, list) else [value]
+        if not parts or not isinstance(parts[0], genpy.Message):
+            yield from lines_of(plain(value), place)
+        else:
+            for number, part in enumerate(parts):
+                yield from lines_of_message(part, place if part is value else f"{place}.{number}")
 
 
 def near(value):

@@ -1,11 +1,15 @@
 """What the unit tests share that is no fixture."""
 
 import contextlib
+import functools
 import importlib.util
 import logging
 import re
 import sys
 from pathlib import Path
+
+import pytest
+import yaml
 
 from bullet_lab.errors import LabError
 
@@ -41,3 +45,18 @@ def complains(said):
         logger.removeHandler(handler)
     assert [line for line in messages if re.search(said, line)], messages
     assert not [line for line in messages if "\n" in line]
+
+
+class Table(yaml.SafeLoader):
+    """YAML in which a row with the tag !long is one for the long tests."""
+
+
+@functools.partial(Table.add_constructor, "!long")
+def _long(loader, node):
+    return pytest.param(*loader.construct_sequence(node, deep=True), marks=pytest.mark.long)
+
+
+def cases(text):
+    """Run a test for each row of a table: YAML with the names of its arguments, then the rows."""
+    ((names, rows),) = yaml.load(text, Table).items()
+    return pytest.mark.parametrize(names, rows.items() if isinstance(rows, dict) else rows)

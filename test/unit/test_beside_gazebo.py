@@ -3,7 +3,6 @@
 import math
 
 import pytest
-import yaml
 from beside_direct import DirectStage
 from beside_gazebo import DEVIATE, known, main, names, play, rows_of
 from beside_scenarios import DRIVES, ROLLS, STOP, Drive, Leg, Played, Stage, motions, play_drive
@@ -22,6 +21,7 @@ from beside_table import (
     table,
     write_figures,
 )
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import FrameState
@@ -48,7 +48,7 @@ class Obedient(Stage):
         self.pose = self.pose * Pose.from_rpy((vx, vy, 0.0), (0.0, 0.0, wz))
 
 
-@pytest.mark.parametrize("heading", [0.0, 30.0, -170.0])
+@cases("heading: [0.0, 30.0, -170.0]")
 def test_legs_are_told_by_the_heading_before_them(heading):
     drive = Drive("one", "urdf/block_robot.urdf", LEGS, ROLLS)
     played = play_drive(drive, Obedient(), heading)
@@ -69,27 +69,25 @@ def test_legs_are_told_by_the_heading_before_them(heading):
     assert motions(LEGS) == [(0, 2), (2, 3), (3, 4)]
 
 
-# What is allowed, Gazebo's figure, ours, and the verdict.
-VERDICTS = """
-- [{share: 0.02}, 1.0, 1.019, ok]
-- [{share: 0.02}, 1.0, 1.021, FAIL]
-- [{share: 0.02}, -1.0, -0.979, FAIL]
-- [{within: 3.0}, 0.0, -2.9, ok]
-- [{within: 3.0}, 0.0, .nan, FAIL]
-- [{within: 3.0}, 0.0, null, FAIL]
-- [null, 0.0, 9.0, told]
-- [null, null, 9.0, not known]
-- [{}, odom, odom, ok]
-- [{}, odom, map, FAIL]
-- [{}, odom, 1.0, FAIL]
-# Of Gazebo's array, the first numbers are known.
-- [{within: 0.1}, [0.0, 1.0], [0.0, 1.05, 7.0], ok]
-- [{within: 0.1}, [0.0, 1.0], [0.0, 1.2], FAIL]
-- [{within: 0.1}, [0.0, 1.0], [0.0], FAIL]
-"""
-
-
-@pytest.mark.parametrize(("limit", "gazebo", "here", "found"), yaml.safe_load(VERDICTS))
+@cases("""
+limit, gazebo, here, found:
+  # What is allowed, Gazebo's figure, ours, and the verdict.
+  - [{share: 0.02}, 1.0, 1.019, ok]
+  - [{share: 0.02}, 1.0, 1.021, FAIL]
+  - [{share: 0.02}, -1.0, -0.979, FAIL]
+  - [{within: 3.0}, 0.0, -2.9, ok]
+  - [{within: 3.0}, 0.0, .nan, FAIL]
+  - [{within: 3.0}, 0.0, null, FAIL]
+  - [null, 0.0, 9.0, told]
+  - [null, null, 9.0, not known]
+  - [{}, odom, odom, ok]
+  - [{}, odom, map, FAIL]
+  - [{}, odom, 1.0, FAIL]
+  # Of Gazebo's array, the first numbers are known.
+  - [{within: 0.1}, [0.0, 1.0], [0.0, 1.05, 7.0], ok]
+  - [{within: 0.1}, [0.0, 1.0], [0.0, 1.2], FAIL]
+  - [{within: 0.1}, [0.0, 1.0], [0.0], FAIL]
+""")
 def test_a_verdict(limit, gazebo, here, found):
     there = {} if gazebo is None else {"a": gazebo}
     allowed = {} if limit is None else {"a": Allowed(**limit)}

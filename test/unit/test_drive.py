@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from shared import cases
 
 from bullet_lab.core.parameters import ParameterError, read_parameters
 from bullet_lab.core.se2 import wrap
@@ -99,7 +100,7 @@ def test_a_turn_that_went_far_too_far_is_turned_back():
         assert (command != STANDSTILL) == turns
 
 
-@pytest.mark.parametrize("ticks_per_metre", [50, 300, 1000])
+@cases("ticks_per_metre: [50, 300, 1000]")
 def test_a_turn_ends_though_the_ticks_of_encoders_step_over_the_tolerance(ticks_per_metre):
     errors = SystematicErrors(ticks_per_metre=ticks_per_metre)
     path = SystematicPath(errors)
@@ -126,21 +127,19 @@ def test_progress_is_along_the_side():
     assert driver.command((1.3, 2.6, 0.0))[0] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("kind", "values"),
-    [
-        (Square, {"sides": 0}),
-        (Square, {"side": 0.0}),
-        (Square, {"turn_speed": 0.0}),
-        (Square, {"turn_speed": True}),
-        (GoalLimits, {"acceleration": 0.0}),
-        (GoalLimits, {"tolerance": 0.005}),
-    ],
-)
+@cases("""
+kind, values:
+  - [square, {sides: 0}]
+  - [square, {side: 0.0}]
+  - [square, {turn_speed: 0.0}]
+  - [square, {turn_speed: true}]
+  - [goal, {acceleration: 0.0}]
+  - [goal, {tolerance: 0.005}]
+""")
 def test_what_cannot_be_driven_is_refused(kind, values):
     given = {f"~{name}": value for name, value in values.items()}
     with pytest.raises(ParameterError):
-        read_parameters(kind, given.get)
+        read_parameters({"square": Square, "goal": GoalLimits}[kind], given.get)
 
 
 @pytest.mark.parametrize("least", [Square(1, 0.02, 0.02, 0.02, 0), GoalLimits(*[0.02] * 8)])
@@ -187,10 +186,8 @@ def assert_at(pose, goal, tolerance, yaw_tolerance):
     assert abs(wrap(pose[2] - goal[2])) <= yaw_tolerance
 
 
-@pytest.mark.parametrize(
-    ("distance", "tolerances"), [(0.06, (0.05, 0.03)), (2.0, (0.01, 0.01)), (2.0, (0.3, 0.3))]
-)
-@pytest.mark.parametrize("direction", range(0, 360, 45))
+@cases("distance, tolerances: [[0.06, [0.05, 0.03]], [2.0, [0.01, 0.01]], [2.0, [0.3, 0.3]]]")
+@cases("direction: [0, 45, 90, 135, 180, 225, 270, 315]")
 def test_arrives_within_the_tolerances_whatever_the_goal(direction, distance, tolerances):
     angle = math.radians(direction)
     limits = replace(LIMITS, tolerance=tolerances[0], yaw_tolerance=tolerances[1])
@@ -249,7 +246,7 @@ def test_another_goal_on_the_way_starts_from_the_present_speed():
     assert driver.command(ORIGIN, PERIOD)[0] == 0.0
 
 
-@pytest.mark.parametrize("goal", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.inf)])
+@cases("goal: [[.nan, 0.0, 0.0], [0.0, 0.0, .inf]]")
 def test_goals_that_are_none(goal):
     with pytest.raises(LabError, match="not finite"):
         GoalDriver(goal)

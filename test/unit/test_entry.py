@@ -5,8 +5,8 @@ import sys
 import textwrap
 
 import pytest
-import yaml
 from rosgraph.network import get_bind_address
+from shared import cases
 
 from bullet_lab.entry import keep_to_this_machine
 
@@ -46,17 +46,15 @@ def test_an_interrupt_ends_a_program_that_imports(tmp_path, program, job, end):
     assert python(program, tmp_path) == end
 
 
-ADDRESSES = """
-- [{}, 127.0.0.1]
-- [{ROS_MASTER_URI: "http://127.0.0.1:4", ROS_IP: ""}, 127.0.0.1]
-- [{ROS_MASTER_URI: nonsense}, 127.0.0.1]
-- [{ROS_MASTER_URI: "http://robot:11311"}, 0.0.0.0]
-- [{ROS_MASTER_URI: "http://localhost:11311", ROS_IP: 192.168.1.2}, 0.0.0.0]
-- [{ROS_HOSTNAME: robot}, 0.0.0.0]
-"""
-
-
-@pytest.mark.parametrize(("given", "address"), yaml.safe_load(ADDRESSES))
+@cases("""
+given, address:
+  - [{}, 127.0.0.1]
+  - [{ROS_MASTER_URI: "http://127.0.0.1:4", ROS_IP: ""}, 127.0.0.1]
+  - [{ROS_MASTER_URI: nonsense}, 127.0.0.1]
+  - [{ROS_MASTER_URI: "http://robot:11311"}, 0.0.0.0]
+  - [{ROS_MASTER_URI: "http://localhost:11311", ROS_IP: 192.168.1.2}, 0.0.0.0]
+  - [{ROS_HOSTNAME: robot}, 0.0.0.0]
+""")
 def test_nodes_listen_on_the_loopback_unless_they_are_opened(monkeypatch, given, address):
     for name in ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6"):
         monkeypatch.delenv(name, raising=False)

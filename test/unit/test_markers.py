@@ -4,7 +4,9 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from shared import cases, complains
 
+from bullet_lab import markers
 from bullet_lab.errors import LabError
 from bullet_lab.markers import (
     CLOSEST,
@@ -55,28 +57,32 @@ def test_every_dictionary_has_markers_that_are_found_again(name):
         assert detections(Print(name, identifier).image(12), name)[0] == [identifier]
 
 
-@pytest.mark.parametrize(
-    "make, said",
-    [
-        (lambda: Print("apriltag_99"), "no dictionary 'apriltag_99', only DICT_4X4_100"),
-        (lambda: Print("4x4_50", 50), "4X4_50 has markers 0 to 49, not 50"),
-        (lambda: Print(quiet=0), "1 to 20 cells wide, not 0"),
-        (lambda: Print(size=0.0), "size is from 0.001"),
-        (lambda: wall_face(Print(size=0.201)), "multiple of 0.00625 m"),
-        (lambda: wall_face(Print(size=0.0125)), "of four or more"),
-        (lambda: wall_face(Print(size=0.9)), "does not fit"),
-        (lambda: dots_face(Print(), -1), "seed must be an integer >= 0, not -1"),
-        (lambda: nested_face(Print(size=0.1), Print(size=0.8)), "cell of 0.1 m"),
-        (lambda: paste(np.zeros((4, 4)), np.zeros((2, 2)), 3, 0), "at (3, 0)"),
-    ],
-)
-def test_what_cannot_be_printed_is_refused(make, said):
-    with pytest.raises(LabError) as caught:
-        make()
-    assert said in str(caught.value)
+@cases("""
+face, given, said:
+  - [null, {dictionary: apriltag_99}, "no dictionary 'apriltag_99', only DICT_4X4_100"]
+  - [null, {dictionary: 4x4_50, identifier: 50}, "4X4_50 has markers 0 to 49, not 50"]
+  - [null, {quiet: 0}, "1 to 20 cells wide, not 0"]
+  - [null, {size: 0.0}, size is from 0.001]
+  - [wall_face, {size: 0.201}, multiple of 0.00625 m]
+  - [wall_face, {size: 0.0125}, of four or more]
+  - [wall_face, {size: 0.9}, does not fit]
+""")
+def test_what_cannot_be_printed_is_refused(face, given, said):
+    with complains(said):
+        wanted = Print(**given)
+        getattr(markers, face)(wanted)
 
 
-@pytest.mark.parametrize("name, size", [("apriltag_36h10", 0.2), ("5x5_100", 0.175)])
+def test_what_does_not_fit_is_refused():
+    with complains("seed must be an integer >= 0, not -1"):
+        dots_face(Print(), -1)
+    with complains("cell of 0.1 m"):
+        nested_face(Print(size=0.1), Print(size=0.8))
+    with complains(r"at \(3, 0\)"):
+        paste(np.zeros((4, 4)), np.zeros((2, 2)), 3, 0)
+
+
+@cases("name, size: [[apriltag_36h10, 0.2], [5x5_100, 0.175]]")
 def test_a_wall_has_the_marker_exactly_in_its_middle_and_as_large_as_it_is_said_to_be(name, size):
     image = wall_face(Print(name, 3, size)).image
     assert image.shape == (WALL_PIXELS, WALL_PIXELS)
@@ -129,7 +135,7 @@ def test_the_marker_around_another_one_is_itself_valid():
     assert_seen(face, 2.0, 7, 0.8, 0.01)
 
 
-@pytest.mark.parametrize("distance, size", [(0.4, 0.075), (1.0, 0.075), (3.0, 0.8), (6.0, 0.8)])
+@cases("distance, size: [[0.4, 0.075], [1.0, 0.075], [3.0, 0.8], [6.0, 0.8]]")
 def test_nearby_the_wanted_marker_is_found_and_from_afar_the_one_around_it(distance, size):
     assert_seen(nested_face(Print(size=0.075), Print(size=0.8)), distance, 0, size, 0.03)
 

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 import pytest
-from shared import PACKAGE
+from shared import PACKAGE, cases
 
 PROGRAM = PACKAGE / "scripts" / "setup" / "overlay.py"
 MANIFEST = """<package format="2"><name>{0}</name><version>0.1.0</version>
@@ -79,10 +79,11 @@ def test_a_package_that_is_no_catkin_package_is_built_in_isolation(build):
     assert tool == ["catkin_make_isolated"]
 
 
-@pytest.mark.parametrize(
-    ("cmake", "message"),
-    [({}, "no package.xml in"), ({"a/same": "", "b/same": ""}, "another package 'same'")],
-)
+@cases("""
+cmake, message:
+  - [{}, no package.xml in]
+  - [{a/same: "", b/same: ""}, another package 'same']
+""")
 def test_what_cannot_be_built_is_one_line(build, cmake, message):
     try:
         _, _, said = build(cmake)

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import psutil
 import pytest
-from shared import module_of
+from shared import cases, module_of
 
 slope = module_of("soak/slope.py").slope
 memory_of = module_of("soak/lab.py").memory_of
@@ -29,7 +29,7 @@ def sawtooth(random, hours, rise, segments=1):
     return map(np.concatenate, zip(*found))
 
 
-@pytest.mark.parametrize(("segments", "rise"), [(1, 0.0), (2, 3.0)])
+@cases("segments, rise: [[1, 0.0], [2, 3.0]]")
 def test_the_interval_holds_the_rise(rise, segments):
     random = np.random.default_rng(3)
     found = [slope(*sawtooth(random, 4.0, rise, segments)) for _ in range(300)]

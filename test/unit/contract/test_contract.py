@@ -25,6 +25,7 @@ from contract_run import (
     places,
     verdict,
 )
+from shared import cases
 
 from bullet_lab.simulation.plugins import known_plugins
 
@@ -142,19 +143,17 @@ def test_options_are_the_declared_parameters():
     assert read_command(["--only", "imu", "--list"]) == ContractParameters(only="imu", list=True)
 
 
-INVALID = {
-    "rows: 3": "no rows",
-    "rows: [{name: a, line: 1}]": "needs exactly one of",
-    "rows: [{name: a, line: 1, rate: 1, tf: [a, b]}]": "needs exactly one of",
-    "rows: [{name: a, rate: 1}]": "no line",
-    "rows: [{name: a, line: 1, probe: b, rate: 1}]": "no probe 'b'",
-    "rows: [{name: a, line: 1, rate: 1}, {name: a, line: 1, rate: 1}]": "duplicate rows",
-    "probes: {a: {robot: b, colour: red}}\nrows: []": "colour",
-    "rows: [": "while parsing",
-}
-
-
-@pytest.mark.parametrize("text, message", INVALID.items())
+@cases(r"""
+text, message:
+  - ["rows: 3", no rows]
+  - ["rows: [{name: a, line: 1}]", needs exactly one of]
+  - ["rows: [{name: a, line: 1, rate: 1, tf: [a, b]}]", needs exactly one of]
+  - ["rows: [{name: a, rate: 1}]", no line]
+  - ["rows: [{name: a, line: 1, probe: b, rate: 1}]", no probe 'b']
+  - ["rows: [{name: a, line: 1, rate: 1}, {name: a, line: 1, rate: 1}]", duplicate rows]
+  - ["probes: {a: {robot: b, colour: red}}\nrows: []", colour]
+  - ["rows: [", while parsing]
+""")
 def test_an_invalid_contract_is_refused(tmp_path, text, message):
     (tmp_path / "bad.yaml").write_text(text)
     with pytest.raises(ContractError, match=message):

@@ -1,11 +1,11 @@
 """A simulator that dies while the contract is checked: what is judged all the same."""
 
 import pytest
-import yaml
 from contract_judges import Evidence
 from contract_rows import read_contract
 from contract_run import FAILED, NOT_JUDGED, PASSED, ContractRun
 from contract_simulator import CallError, SimulatorError
+from shared import cases
 
 PROBES = """
 plugin: libnothing.so
@@ -74,21 +74,21 @@ def contract(tmp_path):
     return read_contract(tmp_path, "mark_")
 
 
-# What it dies of, its further lives, and what is judged of a/row, b/row, steps/first and
-# steps/second: passed (P), failed (F) or not judged (-).
-DEATHS = """
-- [[], 0, P P P F]
-- [[delete_model contract_mark_a], 9, P P P F]
-- [[spawn_sdf_model contract_mark_a], 9, "- P P F"]
-- [["run ['contract_mark_floor_1"], 9, P P P F]
-- [[spawn_sdf_model contract_mark_b], 0, "- - P F"]
-- [[second], 1, P P P -]
-- [[first], 0, "- - - -"]
-"""
 STATUSES = {"P": PASSED, "F": FAILED, "-": NOT_JUDGED}
 
 
-@pytest.mark.parametrize("deadly, lives, statuses", yaml.safe_load(DEATHS))
+@cases("""
+deadly, lives, statuses:
+  # What it dies of, its further lives, and what is judged of a/row, b/row, steps/first and
+  # steps/second: passed (P), failed (F) or not judged (-).
+  - [[], 0, P P P F]
+  - [[delete_model contract_mark_a], 9, P P P F]
+  - [[spawn_sdf_model contract_mark_a], 9, "- P P F"]
+  - [["run ['contract_mark_floor_1"], 9, P P P F]
+  - [[spawn_sdf_model contract_mark_b], 0, "- - P F"]
+  - [[second], 1, P P P -]
+  - [[first], 0, "- - - -"]
+""")
 def test_what_is_judged_of_a_simulator_that_dies(contract, deadly, lives, statuses):
     simulator = Mortal(deadly, lives)
     verdicts = ContractRun(contract, simulator, contract.rows, {}, 1.0).verdicts()

@@ -6,6 +6,7 @@ import os
 import stat
 
 import pytest
+from shared import cases
 
 from bullet_lab.core.files import (
     FileError,
@@ -118,23 +119,21 @@ def test_rows_are_in_the_file_at_once_and_may_be_infinite(tmp_path):
     assert (stamps.tolist(), rows.tolist()) == ([0.05], [[1.0, math.inf]])
 
 
-@pytest.mark.parametrize(
-    "stamp, values, message",
-    [
-        (0, (0.0, 0.0, 0.0), r"^time goes back from 0\.050000000 s to "),
-        (STEP, (0.0, 0.0, 0.0), r"^time goes back from 0\.050000000 s to "),
-        (2 * STEP, (0.0, math.nan, 0.0), "^the pose is not finite"),
-        (2 * STEP, (0.0, math.inf, 0.0), "^the pose is not finite"),
-    ],
-)
+@cases(r"""
+step, x, message:
+  - [0, 0.0, '^time goes back from 0\.050000000 s to ']
+  - [1, 0.0, '^time goes back from 0\.050000000 s to ']
+  - [2, .nan, ^the pose is not finite]
+  - [2, .inf, ^the pose is not finite]
+""")
 def test_a_path_refuses_times_that_go_back_and_poses_that_are_not_finite(
-    tmp_path, stamp, values, message
+    tmp_path, step, x, message
 ):
     series = PathSeries(tmp_path / "a")
     series.add(STEP, (0.0, 0.0, 0.0))
     before = (tmp_path / "a").read_text()
     with pytest.raises(LabError, match=message):
-        series.add(stamp, values)
+        series.add(step * STEP, (0.0, x, 0.0))
     assert (series.last, len(series)) == (STEP, 1)
     assert (tmp_path / "a").read_text() == before
 
@@ -148,7 +147,7 @@ def test_rows_in_any_order_are_put_in_order_at_the_end(tmp_path):
     assert (tmp_path / "a").read_text() == "stamp,x\n0.050000000,2.0\n0.100000000,3.0\n"
 
 
-@pytest.mark.parametrize("values", [(1.0,), (math.nan, 1.0)])
+@cases("values: [[1.0], [.nan, 1.0]]")
 def test_rows_that_are_refused(tmp_path, values):
     series = Series(tmp_path / "a.csv", ("x", "y"))
     with pytest.raises(LabError):
@@ -193,7 +192,7 @@ def test_writes_into_the_folder_and_below(folder, tmp_path):
     assert (folder / "d").read_text() == "inner/../d"
 
 
-@pytest.mark.parametrize("name", ["../a", "/a", "out/a", "file_out", "inner/../../a", ".", "inner"])
+@cases("name: [../a, /a, out/a, file_out, inner/../../a, ., inner]")
 def test_refuses_what_is_elsewhere_or_a_folder(folder, tmp_path, name):
     (folder / "out").symlink_to(tmp_path / "elsewhere")
     (folder / "file_out").symlink_to(tmp_path / "elsewhere" / "a")

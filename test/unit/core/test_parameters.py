@@ -3,6 +3,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Mapping, Tuple
 
 import pytest
+from shared import cases
 
 from bullet_lab.core import parameters
 from bullet_lab.core.parameters import (
@@ -47,51 +48,51 @@ def test_defaults():
 CONVERTED = Sample(1.0, 0.1, 10, True, "fast", "5", ("a", "b"), (1.0, 2.5, -3.0), {"a": 1}, 7)
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"ratio": 1, "width": 0.1, "seed": 10, "paused": True, "pose": [1, 2.5, -3]},
-        # Text as launch files and command lines have it.
-        {"ratio": "1.", "width": "1e-1", "seed": "+10", "paused": "true", "pose": "1 2.5 -3e0"},
-    ],
-)
+@cases("""
+given:
+  - {ratio: 1, width: 0.1, seed: 10, paused: true, pose: [1, 2.5, -3]}
+  # Text as launch files and command lines have it.
+  - {ratio: "1.", width: 1e-1, seed: "+10", paused: "true", pose: 1 2.5 -3e0}
+""")
 def test_values_are_taken_over_and_converted(given):
     values = read(mode="fast", topic=5, nodes=" a  b ", about={"a": 1}, special=7, **given)
     assert values == CONVERTED
     assert isinstance(values.ratio, float)
 
 
-@pytest.mark.parametrize(
-    "name, value, message",
-    [
-        ("ratio", 1.1, "~ratio is 1.1: it must be a number >= 0 and <= 1"),
-        ("ratio", True, "a number"),
-        ("ratio", "nan", "~ratio is 'nan': it must be a number"),
-        ("ratio", "1e999", "a number"),
-        ("ratio", [], "~ratio is []: it must be a number"),
-        ("width", 0.0, "~width is 0.0: it must be a number > 0"),
-        ("seed", 11, "~seed is 11: it must be a whole number from 0 to 10"),
-        ("seed", -1, "a whole number"),
-        ("seed", 1.0, "a whole number"),
-        ("seed", True, "a whole number"),
-        ("paused", 1, "~paused is 1: it must be true or false"),
-        ("paused", "yes", "~paused is 'yes': it must be true or false"),
-        ("mode", "medium", "~mode is 'medium': it must be one of slow, fast"),
-        ("topic", {"a": 1}, "text"),
-        ("nodes", 5, "names with spaces between them"),
-        ("pose", "1 2", "~pose is '1 2': it must be 3 finite numbers"),
-        ("pose", [1, 2, 10**400], "3 finite numbers"),
-        ("about", "text", "~about is 'text': it must be a dictionary"),
-        ("special", 4, "~special is 4: it must be an odd number from 1 to 7"),
-        ("special", 9, "an odd number"),
-    ],
-)
+@cases("""
+name, value, message:
+  - [ratio, 1.1, "~ratio is 1.1: it must be a number >= 0 and <= 1"]
+  - [ratio, true, a number]
+  - [ratio, nan, "~ratio is 'nan': it must be a number"]
+  - [ratio, "1e999", a number]
+  - [ratio, [], "~ratio is []: it must be a number"]
+  - [width, 0.0, "~width is 0.0: it must be a number > 0"]
+  - [seed, 11, "~seed is 11: it must be a whole number from 0 to 10"]
+  - [seed, -1, a whole number]
+  - [seed, 1.0, a whole number]
+  - [seed, true, a whole number]
+  - [paused, 1, "~paused is 1: it must be true or false"]
+  - [paused, "yes", "~paused is 'yes': it must be true or false"]
+  - [mode, medium, "~mode is 'medium': it must be one of slow, fast"]
+  - [topic, {a: 1}, text]
+  - [nodes, 5, names with spaces between them]
+  - [pose, 1 2, "~pose is '1 2': it must be 3 finite numbers"]
+  - [about, text, "~about is 'text': it must be a dictionary"]
+  - [special, 4, "~special is 4: it must be an odd number from 1 to 7"]
+  - [special, 9, an odd number]
+""")
 def test_values_that_are_not_allowed(name, value, message):
     with pytest.raises(ParameterError) as caught:
         read(**{name: value})
     assert message in str(caught.value)
     assert str(caught.value).startswith(f"~{name} is ")
     assert "\n" not in str(caught.value)
+
+
+def test_an_integer_beyond_all_floats_is_no_finite_number():
+    with pytest.raises(ParameterError, match="3 finite numbers"):
+        read(pose=[1, 2, 10**400])
 
 
 def test_empty_text_is_the_default_unless_it_is_a_value():
@@ -156,16 +157,14 @@ def test_options_of_a_command_line():
         assert options(f"--every-light={text}").every_light == value
 
 
-@pytest.mark.parametrize(
-    "words, message",
-    [
-        (("--std", "x"), "--std is 'x': it must be a number >= 0"),
-        (("--levels", "1", "1"), "--levels is '1 1': it must be different numbers >= 0 and <= 10"),
-        (("--levels", "11"), "different numbers >= 0 and <= 10"),
-        (("--lights", "green"), "--lights is 'green': it must be different words of dark, bright"),
-        (("--every-light=yes",), "--every-light is 'yes': it must be true or false"),
-    ],
-)
+@cases("""
+words, message:
+  - [[--std, x], "--std is 'x': it must be a number >= 0"]
+  - [[--levels, "1", "1"], "--levels is '1 1': it must be different numbers >= 0 and <= 10"]
+  - [[--levels, "11"], different numbers >= 0 and <= 10]
+  - [[--lights, green], "--lights is 'green': it must be different words of dark, bright"]
+  - [[--every-light=yes], "--every-light is 'yes': it must be true or false"]
+""")
 def test_options_that_are_not_allowed(words, message):
     with pytest.raises(ParameterError) as caught:
         options(*words)

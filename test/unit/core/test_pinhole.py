@@ -6,14 +6,20 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from shared import cases
 
 from bullet_lab.core import pinhole
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{"width": 0}, {"height": 0}, {"fx": 0.0}, {"fy": 0.0}, {"cx": np.nan}, {"distortion": [0.0]}],
-)
+@cases("""
+changes:
+  - {width: 0}
+  - {height: 0}
+  - {fx: 0.0}
+  - {fy: 0.0}
+  - {cx: .nan}
+  - {distortion: [0.0]}
+""")
 def test_what_is_no_camera_is_refused(changes):
     least = pinhole.PinholeCamera(1, 1, 0.5, 0.5, 0.0, 0.0)
     with pytest.raises(pinhole.PinholeError):

@@ -1,6 +1,7 @@
 import math
 
 import pytest
+from shared import cases
 
 from bullet_lab.core.schedule import Schedule, ScheduleError, WaitingSchedule
 
@@ -13,7 +14,7 @@ def steps(rate, until, start=0):
     return due
 
 
-@pytest.mark.parametrize("rate", [30.0, 7.0, 1000.0, 0.5])
+@cases("rate: [30.0, 7.0, 1000.0, 0.5]")
 def test_the_mean_rate_is_exact_and_the_jitter_below_a_step(rate):
     due = steps(rate, 60_000)
     assert len(due) == math.floor(60 * rate)
@@ -31,25 +32,23 @@ def test_periods_count_from_the_start_and_after_a_restart():
     assert schedule.next_step == 17
 
 
-@pytest.mark.parametrize("rate", [-1.0, 1000.5, math.nan, math.inf, 1e-320])
+@cases("rate: [-1.0, 1000.5, .nan, .inf, 1.0e-320]")
 def test_other_rates_are_refused(rate):
     with pytest.raises(ScheduleError, match="Hz is not within 1e-09 … 1000 Hz"):
         Schedule(rate)
 
 
 # As the comparisons in Gazebo's sources have it, for `elapsed >= 1 / rate` and for `>`.
-@pytest.mark.parametrize(
-    "rate, beyond, gap",
-    [
-        (20.0, False, 50),
-        (30.0, False, 34),
-        (0.0, False, 1),
-        (20.0, True, 51),
-        (30.0, True, 34),
-        (1000.0, True, 2),
-        (0.0, True, 1),
-    ],
-)
+@cases("""
+rate, beyond, gap:
+  - [20.0, false, 50]
+  - [30.0, false, 34]
+  - [0.0, false, 1]
+  - [20.0, true, 51]
+  - [30.0, true, 34]
+  - [1000.0, true, 2]
+  - [0.0, true, 1]
+""")
 def test_waiting_for_a_period_since_the_last_occurrence(rate, beyond, gap):
     schedule = WaitingSchedule(rate, 7, beyond)
     for count in range(1, 9):

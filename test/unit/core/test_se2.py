@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.pose import Pose
@@ -47,7 +48,7 @@ def test_between_and_inverse_undo_compose():
         assert turned[2] == 6.0 - 2 * math.pi
 
 
-@pytest.mark.parametrize("scale", [1e-200, 1e-9, 1.0, 1e100])
+@cases("scale: [1.0e-200, 1.0e-9, 1.0, 1.0e+100]")
 def test_angles_and_lengths_are_those_of_math(scale):
     angles = np.concatenate([np.linspace(-math.pi, math.pi, 2001), np.geomspace(1e-12, 3.0, 500)])
     for angle in angles.tolist():
@@ -98,7 +99,7 @@ def test_wrap_leaves_angles_inside_bit_for_bit():
     assert [wrap(angle) for angle in angles.tolist()] == angles.tolist()
 
 
-@pytest.mark.parametrize("yaw", [0.0, -2.0, 3.14, 1e-9])
+@cases("yaw: [0.0, -2.0, 3.14, 1.0e-9]")
 def test_yaw_survives_the_quaternion(yaw):
     quaternion = quaternion_from_yaw(yaw)
     assert math.hypot(*quaternion[2:]) == pytest.approx(1.0)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import cases
 
 from bullet_lab.core.trajectory import (
     Trajectory,
@@ -45,19 +46,17 @@ def test_arrays_are_copied_and_read_only():
         trajectory.poses[0, 0] = 1.0
 
 
-@pytest.mark.parametrize(
-    "stamps, poses, message",
-    [
-        ([], [], "no poses"),
-        ([0, 1], [[0, 0, 0]], "shape"),
-        ([[0], [1]], np.zeros((2, 3)), "shape"),
-        ([0, math.nan], np.zeros((2, 3)), "not finite"),
-        ([0, 1], np.full((2, 3), math.inf), "not finite"),
-        ([0, 1, 1], np.zeros((3, 3)), "1.000000000 follows 1.000000000"),
-        ([0, 1], [[0, 0, 0], [0, 0]], "numbers"),
-        (["zero"], [[0, 0, 0]], "numbers"),
-    ],
-)
+@cases("""
+stamps, poses, message:
+  - [[], [], no poses]
+  - [[0, 1], [[0, 0, 0]], shape]
+  - [[[0], [1]], [[0, 0, 0], [0, 0, 0]], shape]
+  - [[0, .nan], [[0, 0, 0], [0, 0, 0]], not finite]
+  - [[0, 1], [[0, 0, 0], [0, .inf, 0]], not finite]
+  - [[0, 1, 1], [[0, 0, 0], [0, 0, 0], [0, 0, 0]], 1.000000000 follows 1.000000000]
+  - [[0, 1], [[0, 0, 0], [0, 0]], numbers]
+  - [[zero], [[0, 0, 0]], numbers]
+""")
 def test_bad_trajectories_are_refused(stamps, poses, message):
     with pytest.raises(TrajectoryError, match=message):
         Trajectory(stamps, poses)
@@ -71,16 +70,14 @@ def test_tum_round_trip(write):
     assert_allclose(trajectory.poses[:, 2], np.array(POSES)[:, 2], atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    "line, message",
-    [
-        ("1 2 3", "line 2: 8 values needed, not 3"),
-        ("-1 0 0 0 0 0 0 1", "line 2: stamps must increase"),
-        ("1 0 0 0 0 0 0 one", "line 2: a value is not a number"),
-        ("1 0 0 nan 0 0 0 1", "line 2: a value is not finite"),
-        ("1 0 0 0 0 0 0 0", "line 2: the quaternion is zero"),
-    ],
-)
+@cases("""
+line, message:
+  - [1 2 3, "line 2: 8 values needed, not 3"]
+  - [-1 0 0 0 0 0 0 1, "line 2: stamps must increase"]
+  - [1 0 0 0 0 0 0 one, "line 2: a value is not a number"]
+  - [1 0 0 nan 0 0 0 1, "line 2: a value is not finite"]
+  - [1 0 0 0 0 0 0 0, "line 2: the quaternion is zero"]
+""")
 def test_bad_tum_files_are_refused(write, line, message):
     path = write("0 0 0 0 0 0 0 1", line)
     with pytest.raises(TrajectoryError, match=message) as caught:

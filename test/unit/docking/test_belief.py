@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import docking_standin as standin
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.docking.belief import DockBelief
@@ -77,7 +78,7 @@ def test_a_marker_found_twice_in_one_image_is_one_track_in_the_end():
     assert lookout.look(MARKER, times=3) == [first]
 
 
-@pytest.mark.parametrize(("real", "share"), [(0.95, 1.0), (0.7, 0.7), (0.3, 0.5)])
+@cases("real, share: [[0.95, 1.0], [0.7, 0.7], [0.3, 0.5]]")
 def test_as_many_of_the_docks_are_elsewhere_as_a_track_is_doubtful(real, share):
     belief = Lookout().belief
     track = SimpleNamespace(real=real, samples=lambda rng, count: np.full((count, 3), 50.0))

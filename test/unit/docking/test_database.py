@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.docking.database import (
     ERRORS,
@@ -51,29 +52,28 @@ def test_the_shipped_database_is_good():
     assert docks["panel"].walls is None
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("size: 0.1", "size: -0.1", "docks: home: marker: size is -0.1"),
-        ("id: 3", "id: 3.5", "docks: home: marker: id is 3.5"),
-        ("id: 3, ", "", "docks: home: marker: id is missing"),
-        ("pose: [1.0, -2.0, 90]", "pose: [1.0, -2.0]", "docks: home: pose is [1.0, -2.0]"),
-        ("pose: [1.0, -2.0, 90]", "pose: [1.0, .inf, 90]", "docks: home: pose is [1.0, inf, 90]"),
-        ("frame: map", "frame: ''", "docks: home: frame is ''"),
-        ("height: 0.4", "height: 0.4, hieght: 1", "docks: home: marker: unknown key hieght"),
-        ("staging_distance: 3.0", "staging_distance: 2.0", "staging_distance is 2.0, not outside"),
-        ("docked_distance: 0.4", "docked_distance: 3.0", "not beyond docked_distance"),
-        ("docks:", "doks:", "docks is missing"),
-        ("marker: {", "marker: [", "no YAML"),
-        (GOOD, "docks: {}", ""),
-        (GOOD, "docks: [1]", ""),
-        (GOOD, "3", ""),
-        (GOOD, "docks:\n  1: {}", ""),
-    ],
-)
+@cases(r"""
+old, new, said:
+  - ["size: 0.1", "size: -0.1", "docks: home: marker: size is -0.1"]
+  - ["id: 3", "id: 3.5", "docks: home: marker: id is 3.5"]
+  - ["id: 3, ", "", "docks: home: marker: id is missing"]
+  - ["pose: [1.0, -2.0, 90]", "pose: [1.0, -2.0]", "docks: home: pose is [1.0, -2.0]"]
+  - ["pose: [1.0, -2.0, 90]", "pose: [1.0, .inf, 90]", "docks: home: pose is [1.0, inf, 90]"]
+  - ["frame: map", "frame: ''", "docks: home: frame is ''"]
+  - ["height: 0.4", "height: 0.4, hieght: 1", "docks: home: marker: unknown key hieght"]
+  - ["staging_distance: 3.0", "staging_distance: 2.0", "staging_distance is 2.0, not outside"]
+  - ["docked_distance: 0.4", "docked_distance: 3.0", not beyond docked_distance]
+  - ["docks:", "doks:", docks is missing]
+  - ["marker: {", "marker: [", no YAML]
+  # In place of all of it.
+  - [null, "docks: {}", ""]
+  - [null, "docks: [1]", ""]
+  - [null, "3", ""]
+  - [null, "docks:\n  1: {}", ""]
+""")
 def test_says_what_is_wrong(old, new, said):
     with pytest.raises(LabError) as error:
-        parse_docks(GOOD.replace(old, new), "docks.yaml")
+        parse_docks(GOOD.replace(old or GOOD, new), "docks.yaml")
     assert said in str(error.value)
     assert str(error.value).startswith("docks.yaml")
     assert "\n" not in str(error.value)
@@ -100,18 +100,16 @@ def test_the_error_of_a_pose_is_uniform_within_its_uncertainty_and_the_seeds_own
     assert not np.isclose(drawn[1] / most, noise, atol=0.01).any()
 
 
-@pytest.mark.parametrize(
-    ("said", "errors", "contacts", "result"),
-    [
-        ("NONE", (0.0049, -0.0029, 0.39), 0, "docked"),
-        ("NONE", (-0.0051, 0.0, 0.0), 0, "inaccurate"),
-        ("NONE", (0.0, 0.0031, 0.0), 0, "inaccurate"),
-        ("NONE", (0.0, 0.0, -0.41), 0, "inaccurate"),
-        ("NONE", (math.nan, 0.0, 0.0), 0, "inaccurate"),
-        ("TIMED_OUT", (0.0, 0.0, 0.0), 1, "wall_contact"),
-        ("TIMED_OUT", (0.0, 0.0, 0.0), 0, "timed_out"),
-    ],
-)
+@cases("""
+said, errors, contacts, result:
+  - [NONE, [0.0049, -0.0029, 0.39], 0, docked]
+  - [NONE, [-0.0051, 0.0, 0.0], 0, inaccurate]
+  - [NONE, [0.0, 0.0031, 0.0], 0, inaccurate]
+  - [NONE, [0.0, 0.0, -0.41], 0, inaccurate]
+  - [NONE, [.nan, 0.0, 0.0], 0, inaccurate]
+  - [TIMED_OUT, [0.0, 0.0, 0.0], 1, wall_contact]
+  - [TIMED_OUT, [0.0, 0.0, 0.0], 0, timed_out]
+""")
 def test_docked_is_who_says_so_stands_within_tolerance_and_touched_nothing(
     said, errors, contacts, result
 ):
@@ -120,14 +118,17 @@ def test_docked_is_who_says_so_stands_within_tolerance_and_touched_nothing(
     assert found == result
 
 
-@pytest.mark.parametrize(
-    ("dock", "robot", "errors", "most"),
-    [
-        ((4.0, 0.0, 0.0), (3.43, 0.02, 0.0), (0.01, 0.02, 0.0), 1e-12),
-        ((4.0, 0.0, 0.0), (3.44, 0.0, 0.1), (0.16 * (1.0 - math.cos(0.1)), 0.0, 0.1), 1e-12),
-        ((1.0, 2.0, math.pi / 2), (0.98, 1.43, math.pi / 2 + 0.01), (0.01, 0.02, 0.01), 1e-4),
-    ],
-)
+@cases("""
+dock, robot, errors, most:
+  - [[4.0, 0.0, 0.0], [3.43, 0.02, 0.0], [0.01, 0.02, 0.0], 1.0e-12]
+  # 0.16 (1 - cos 0.1).
+  - [[4.0, 0.0, 0.0], [3.44, 0.0, 0.1], [0.00079933355548742, 0.0, 0.1], 1.0e-12]
+  # A quarter turn.
+  - - [1.0, 2.0, 1.5707963267948966]
+    - [0.98, 1.43, 1.5807963267948966]
+    - [0.01, 0.02, 0.01]
+    - 1.0e-4
+""")
 def test_errors_of_a_docked_robot_are_those_seen_from_the_dock(dock, robot, errors, most):
     found = docking_errors(robot, dock, camera_ahead=0.16, docked_distance=0.4)
     expected = (*errors[:2], math.degrees(errors[2]))

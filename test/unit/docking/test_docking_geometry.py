@@ -6,6 +6,7 @@ from dataclasses import replace
 import docking_standin as standin
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.pose import Pose
@@ -17,18 +18,10 @@ BOXES = wall_boxes(DOCK)
 VISIBILITY = MarkerVisibility(DOCK, standin.CAMERA, standin.MOUNT.z).up_to(4.5, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("point", "boxes", "away"),
-    [
-        ((-1.0, 0.2), BOXES, 0.3),
-        ((-0.1, 0.0), BOXES, 0.1),
-        ((-3.0, 0.6), BOXES, 1.0),
-        ((-1.0, 0.6), BOXES, 0.0),
-        ((0.0, 0.0), np.empty((0, 4)), math.inf),
-    ],
-)
-def test_distance_from_the_walls(point, boxes, away):
-    assert clearance(np.array(point), boxes) == pytest.approx(away)
+@cases("x, y, away: [[-1.0, 0.2, 0.3], [-0.1, 0.0, 0.1], [-3.0, 0.6, 1.0], [-1.0, 0.6, 0.0]]")
+def test_distance_from_the_walls(x, y, away):
+    assert clearance(np.array([x, y]), BOXES) == pytest.approx(away)
+    assert clearance(np.zeros(2), np.empty((0, 4))) == math.inf
 
 
 def test_sight_is_never_promised_where_there_is_none():
@@ -40,18 +33,21 @@ def test_sight_is_never_promised_where_there_is_none():
         assert standin.see_print(robot, standin.Print(), STAND, rng) is not None
 
 
-@pytest.mark.parametrize(
-    ("distance", "degrees", "seen"),
-    # The walls hide the marker beyond 14 degrees. Too near, it leaves the image.
-    [(4.0, 8.0, True), (4.0, 15.0, False), (0.42, 0.0, True), (0.25, 0.0, False)],
-)
+@cases("""
+distance, degrees, seen:
+  # The walls hide the marker beyond 14 degrees. Too near, it leaves the image.
+  - [4.0, 8.0, true]
+  - [4.0, 15.0, false]
+  - [0.42, 0.0, true]
+  - [0.25, 0.0, false]
+""")
 def test_the_marker_is_seen_between_the_walls(distance, degrees, seen):
     angle = math.radians(degrees)
     x, y = -distance * math.cos(angle), distance * math.sin(angle)
     assert bool(VISIBILITY.unobstructed(x, y)) is seen
 
 
-@pytest.mark.parametrize(("cx", "cy"), [(219.5, 139.5), (419.5, 339.5)])
+@cases("cx, cy: [[219.5, 139.5], [419.5, 339.5]]")
 def test_the_nearer_edges_of_the_image_count(cx, cy):
     visibility = MarkerVisibility(DOCK, replace(standin.CAMERA, cx=cx, cy=cy), standin.MOUNT.z)
     # 40 px from the edges beside, 10 px from those above and below.
@@ -65,21 +61,18 @@ def test_a_camera_is_turned_about_fixed_axes():
     assert replace(standin.MOUNT, roll=0.3, pitch=-0.4, yaw=0.5).rotation == pytest.approx(turned)
 
 
-UP, DOWN = math.atan(233.5 / standin.CAMERA.fy), math.radians(3.0)
-
-
-@pytest.mark.parametrize(
-    ("marker", "mount", "wanted", "said"),
-    [
-        ({}, standin.MOUNT, 0.40, None),
-        # Its upper edge, 0.16 m above the camera, is 233.5 px above the middle of the image.
-        ({}, standin.MOUNT, 0.20, 0.16 / math.tan(UP) + 0.005),
-        ({}, replace(standin.MOUNT, pitch=DOWN), 0.40, 0.16 / math.tan(UP - DOWN) + 0.005),
-        ({"size": 0.05}, standin.MOUNT, 2.0, 1.395),
-        ({"height": 3.0}, standin.MOUNT, 0.40, math.nan),
-    ],
-)
+@cases("""
+marker, mount, wanted, said:
+  - [{}, {}, 0.40, null]
+  # Its upper edge, 0.16 m above the camera, is 233.5 px above the middle of the image;
+  # the camera is level, and turned down by 3 degrees.
+  - [{}, {}, 0.20, 0.34918843683083517]
+  - [{}, {pitch: 0.05235987755982989}, 0.40, 0.402372883559784]
+  - [{size: 0.05}, {}, 2.0, 1.395]
+  - [{height: 3.0}, {}, 0.40, .nan]
+""")
 def test_a_docked_robot_has_to_see_the_whole_marker(marker, mount, wanted, said):
+    mount = replace(standin.MOUNT, **mount)
     marker = replace(DOCK.marker, **marker)
 
     def trouble_at(distance):

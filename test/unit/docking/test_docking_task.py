@@ -6,6 +6,7 @@ from dataclasses import replace
 import docking_standin as standin
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.docking.database import DockUncertainty
@@ -37,54 +38,49 @@ def check_docked(feed):
     assert result.yaw == pytest.approx(yaw, abs=0.01)
 
 
-def long(*values):
-    return pytest.param(*values, marks=pytest.mark.long)
+STANDS = {"plain": PLAIN, "beside a decoy": BESIDE_DECOY, "within a copy": WITHIN_A_COPY}
 
 
 # When it docked, and the way and turn so far: all that decides about a docking shows in them, to
 # the last figure. Whoever means to change what decides renews the figures.
-@pytest.mark.parametrize(
-    ("stand", "seconds", "moved"),
-    [
-        long(PLAIN, 24.05, 6.403600),
-        long(replace(PLAIN, image_rate=30.0), 21.85, 6.294492),
-        (replace(PLAIN, image_rate=20.0, late=0.35), 22.80, 6.373525),
-        # Between the walls, looking out.
-        (replace(PLAIN, start=(3.1, 0.15, 3.0)), 18.85, 5.494744),
-        # Too near to correct its offset from there.
-        (replace(PLAIN, start=(3.2, -0.1, 0.3)), 13.25, 2.102408),
-        # Beside the left wall.
-        long(replace(PLAIN, start=(3.1, 1.05, 1.0), seed=3), 36.85, 11.528995),
-        long(
-            replace(PLAIN, start=(0.5, -4.5, -2.0), dock_error=(0.3, 0.3, -0.17)), 67.65, 22.892058
-        ),
-        # Any frame.
-        (replace(PLAIN, dock=(-2.0, 5.0, 2.2), start=(-0.48, 2.4, 2.6)), 24.25, 6.426102),
-        long(replace(PLAIN, model="report", std=0.1, seed=4), 24.05, 6.455489),
-        (replace(PLAIN, model="rate_invariant", std=0.03, seed=5), 17.45, 3.570103),
-        (replace(PLAIN, walls=False), 17.85, 3.755504),
-        long(replace(BESIDE_DECOY, start=(1.5, 1.6, 0.0)), 63.65, 13.281207),
-        (replace(BESIDE_DECOY, start=(3.1, 1.0, -1.0)), 48.85, 17.565660),
-        (WITHIN_A_COPY, 61.45, 11.877211),
-    ],
-)
-def test_docks(stand, seconds, moved):
-    feed = standin.run(stand)
+@cases("""
+name, changes, seconds, moved:
+  - !long [plain, {}, 24.05, 6.403600]
+  - !long [plain, {image_rate: 30.0}, 21.85, 6.294492]
+  - [plain, {image_rate: 20.0, late: 0.35}, 22.80, 6.373525]
+  # Between the walls, looking out.
+  - [plain, {start: [3.1, 0.15, 3.0]}, 18.85, 5.494744]
+  # Too near to correct its offset from there.
+  - [plain, {start: [3.2, -0.1, 0.3]}, 13.25, 2.102408]
+  # Beside the left wall.
+  - !long [plain, {start: [3.1, 1.05, 1.0], seed: 3}, 36.85, 11.528995]
+  - !long [plain, {start: [0.5, -4.5, -2.0], dock_error: [0.3, 0.3, -0.17]}, 67.65, 22.892058]
+  # Any frame.
+  - [plain, {dock: [-2.0, 5.0, 2.2], start: [-0.48, 2.4, 2.6]}, 24.25, 6.426102]
+  - !long [plain, {model: report, std: 0.1, seed: 4}, 24.05, 6.455489]
+  - [plain, {model: rate_invariant, std: 0.03, seed: 5}, 17.45, 3.570103]
+  - [plain, {walls: false}, 17.85, 3.755504]
+  - !long [beside a decoy, {start: [1.5, 1.6, 0.0]}, 63.65, 13.281207]
+  - [beside a decoy, {start: [3.1, 1.0, -1.0]}, 48.85, 17.565660]
+  - [within a copy, {}, 61.45, 11.877211]
+""")
+def test_docks(name, changes, seconds, moved):
+    feed = standin.run(replace(STANDS[name], **changes))
     check_docked(feed)
     assert (feed.now, feed.moved) == pytest.approx((seconds, moved), abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("changes", "seconds", "moved"),
-    [
-        ({"prints": (), "start": (2.5, 0.0, 0.0)}, 23.85, 8.317220),
-        long({"prints": (standin.Print(id=1),)}, 64.45, 23.292598),
-        long({"prints": (standin.Print(height=0.9),)}, 27.85, 2.245811),
-        long({"prints": (DECOY,)}, 103.25, 30.600612),
-    ],
-)
-def test_says_that_the_marker_is_not_there(changes, seconds, moved):
-    feed = standin.run(replace(PLAIN, obstacles=BESIDE_DECOY.obstacles, **changes))
+@cases("""
+prints, start, seconds, moved:
+  - [[], [2.5, 0.0, 0.0], 23.85, 8.317220]
+  - !long [[{id: 1}], [1.0, 0.3, 0.4], 64.45, 23.292598]
+  - !long [[{height: 0.9}], [1.0, 0.3, 0.4], 27.85, 2.245811]
+  # The decoy.
+  - !long [[{pose: [-0.7, 1.65, 0.0], size: 0.35}], [1.0, 0.3, 0.4], 103.25, 30.600612]
+""")
+def test_says_that_the_marker_is_not_there(prints, start, seconds, moved):
+    prints = [standin.Print(**one) for one in prints]
+    feed = standin.run(replace(BESIDE_DECOY, start=start, prints=prints))
     assert feed.task.result.error == DockingError.NOT_DETECTED
     assert not feed.contact
     assert math.isnan(feed.task.result.lateral)
@@ -121,26 +117,24 @@ def check_ended(feed, error, moved=None):
     assert moved is None or feed.moved == moved
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "seconds"),
-    [
-        ({"images": False}, DockingError.CAMERA_LOST, 3.05),
-        ({"odometry": False}, DockingError.ODOMETRY_LOST, 1.05),
-        ({"blocked": True}, DockingError.BLOCKED, 1.5),
-    ],
-)
-def test_what_stops_is_noticed(changes, error, seconds):
+@cases("""
+what, found, error, seconds:
+  - [images, false, CAMERA_LOST, 3.05]
+  - [odometry, false, ODOMETRY_LOST, 1.05]
+  - [blocked, true, BLOCKED, 1.5]
+""")
+def test_what_stops_is_noticed(what, found, error, seconds):
     feed = approaching()
-    vars(feed).update(changes)
+    setattr(feed, what, found)
     start = feed.pose.copy()
     before = feed.now
-    check_ended(feed, error)
+    check_ended(feed, DockingError[error])
     assert feed.now - before == pytest.approx(seconds)
     # Unseen, it does not go on for long.
     assert math.dist(start[:2], feed.pose[:2]) < 0.5
 
 
-@pytest.mark.parametrize("jump", [(0.4, 0.0, 0.0), (0.0, 0.0, 0.8), (math.nan, 0.0, 0.0)])
+@cases("jump: [[0.4, 0.0, 0.0], [0.0, 0.0, 0.8], [.nan, 0.0, 0.0]]")
 def test_odometry_that_jumps_is_noticed(jump):
     feed = approaching()
     feed.pose = feed.pose + np.array(jump)
@@ -148,26 +142,35 @@ def test_odometry_that_jumps_is_noticed(jump):
     check_ended(feed, DockingError.ODOMETRY_LOST)
 
 
-def test_gives_up_when_its_time_is_over():
-    feed = fed(time_limit=2.0)
-    check_ended(feed, DockingError.TIMED_OUT)
-    assert feed.task.result.message == "not docked after 2 s"
-
-
-def test_without_search_only_what_is_in_sight_counts():
-    check_ended(fed((1.0, 0.0, 3.0), search=False), DockingError.NOT_DETECTED, moved=0.0)
-
-
-def test_a_start_within_the_walls_is_not_valid():
-    sure = {"uncertainty": DockUncertainty(0.05, 0.02), "pose": PLAIN.dock}
-    check_ended(fed((3.0, 0.6, 0.0), sure), DockingError.NOT_VALID, moved=0.0)
-
-
-def test_a_docked_distance_from_where_the_marker_is_not_seen_is_refused_at_once():
-    feed = fed(dock_changes={"docked_distance": 0.2})
-    check_ended(feed, DockingError.NOT_VALID, moved=0.0)
-    assert feed.now < 0.2
-    assert "the nearest distance possible is 0.35 m" in feed.task.result.message
+@cases("""
+start, dock, settings, error, moved, said:
+  - [[1.0, 0.0, 0.0], {}, {time_limit: 2.0}, TIMED_OUT, null, not docked after 2 s]
+  # Only what is in sight counts.
+  - [[1.0, 0.0, 3.0], {}, {search: false}, NOT_DETECTED, 0.0, ""]
+  # Within the walls.
+  - - [3.0, 0.6, 0.0]
+    - {uncertainty: [0.05, 0.02], pose: [4.0, 0.0, 0.0]}
+    - {}
+    - NOT_VALID
+    - 0.0
+    - ""
+  # From where the marker is not seen.
+  - - [1.0, 0.0, 0.0]
+    - {docked_distance: 0.2}
+    - {}
+    - NOT_VALID
+    - 0.0
+    - the nearest distance possible is 0.35 m
+""")
+def test_what_ends_a_docking_before_it_has_found_the_marker(
+    start, dock, settings, error, moved, said
+):
+    if "uncertainty" in dock:
+        dock["uncertainty"] = DockUncertainty(*dock["uncertainty"])
+    feed = fed(start, dock, **settings)
+    check_ended(feed, DockingError[error], moved)
+    assert said in feed.task.result.message
+    assert moved is None or feed.now < 0.2 or not said
 
 
 def test_a_marker_that_vanishes_is_searched_again():
@@ -188,27 +191,19 @@ def test_shares_no_random_numbers_with_noise_of_the_same_seed():
     assert first != np.random.default_rng(1).random()
 
 
-DOCKED, ASIDE = (3.44, 0.0, 0.0), (3.44, 0.02, math.radians(3.0))
-
-
-def undocking(distance, start=DOCKED, mount=None):
-    dock = standin.make_dock(PLAIN)
-    task = UndockingTask(distance, dock, dock.pose, mount)
-    return standin.Feed(task, replace(PLAIN, start=start))
-
-
-@pytest.mark.parametrize(
-    ("feed", "images", "x", "most", "ended"),
-    [
-        (undocking(0.8), True, 2.64, 0.01, (3.75, 0.799598)),
-        # Straight back it would be 0.13 m off the axis; the marker told it where that is.
-        (undocking(0.0, ASIDE, standin.MOUNT), True, 1.0, 0.03, (10.8, 2.499023)),
-        (undocking(0.0, DOCKED, standin.MOUNT), False, 1.0, 0.2, (11.8, 2.439003)),
-    ],
-)
+@cases("""
+distance, looks, start, images, x, most, ended:
+  - [0.8, false, [3.44, 0.0, 0.0], true, 2.64, 0.01, [3.75, 0.799598]]
+  # Straight back it would be 0.13 m off the axis; the marker told it where that is.
+  - [0.0, true, [3.44, 0.02, 0.05235987755982989], true, 1.0, 0.03, [10.8, 2.499023]]
+  - [0.0, true, [3.44, 0.0, 0.0], false, 1.0, 0.2, [11.8, 2.439003]]
+""")
 def test_backs_out_by_a_distance_or_until_it_stands_before_the_dock(
-    feed, images, x, most, ended
+    distance, looks, start, images, x, most, ended
 ):
+    dock = standin.make_dock(PLAIN)
+    task = UndockingTask(distance, dock, dock.pose, standin.MOUNT if looks else None)
+    feed = standin.Feed(task, replace(PLAIN, start=start))
     feed.images = images
     feed.run(60.0)
     assert feed.task.result.success

@@ -5,7 +5,7 @@ from itertools import product
 
 import docking_standin as standin
 import numpy as np
-import pytest
+from shared import cases
 
 from bullet_lab.docking.geometry import wall_boxes
 from bullet_lab.docking.paths import Costmap
@@ -34,7 +34,7 @@ def cheapest(rate, start):
     return costs[1:-1, 1:-1]
 
 
-@pytest.mark.parametrize("robot", [(0.0, 0.0), (-0.7, 1.3)])
+@cases("robot: [[0.0, 0.0], [-0.7, 1.3]]")
 def test_costs_are_those_of_the_cheapest_ways(robot):
     made = costmap(robot, obstacles=np.array([[1.0, 0.5, 0.3, 0.4]]))
     start = divmod(int(made._index(robot)), made.costs.shape[1])
@@ -42,7 +42,7 @@ def test_costs_are_those_of_the_cheapest_ways(robot):
     np.testing.assert_array_equal(made.costs, costs)
 
 
-@pytest.mark.parametrize("robot", [(0.0, 0.0), (9.0, 3.0)])
+@cases("robot: [[0.0, 0.0], [9.0, 3.0]]")
 def test_the_map_reaches_2_m_beyond_robot_and_docks(robot):
     made = costmap(robot)
     around = np.array([robot, (3.8, -0.2), (4.2, 0.2)])

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import docking_standin as standin
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import DockMarker
@@ -33,7 +34,7 @@ def docking_at_the_origin(marker_size, corners=None):
     return DockingProgress(belief)
 
 
-@pytest.mark.parametrize("size, before", [(0.2, 3.0), (0.075, 2.45)])
+@cases("size, before: [[0.2, 3.0], [0.075, 2.45]]")
 def test_stages_where_the_marker_is_found_but_clear_of_the_walls(size, before):
     way = docking_at_the_origin(size).paths.way_to_staging(KNOWN)
     assert way[-1] == pytest.approx((5.0 - before, 0.0), abs=0.02)
@@ -110,7 +111,7 @@ def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):
     assert len(set(ends[:40])) == 40
 
 
-@pytest.mark.parametrize("share, retries, unsure", [(0.41, 1, 1), (0.41, 2, 0), (0.39, 0, 0)])
+@cases("share, retries, unsure: [[0.41, 1, 1], [0.41, 2, 0], [0.39, 0, 0]]")
 def test_a_yaw_that_is_unsure_is_measured_again_twice_at_most(monkeypatch, share, retries, unsure):
     docking = docking_at_the_origin(0.2)
     yaw = SimpleNamespace(deviation=share * docking.belief.dock.tolerance.yaw)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import docking_standin as standin
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.docking import states
 from bullet_lab.docking.database import DockTolerance
@@ -79,22 +80,22 @@ def docking_at(robot):
 
 
 def name_of(step):
-    """The name of an outcome, or the command of a state that goes on."""
+    """The name of an outcome, or the command of a state that goes on, but for standing."""
+    if step == STANDSTILL:
+        return "stands"
     return step.name if isinstance(step, Outcome) else step
 
 
-@pytest.mark.parametrize(
-    ("beside", "turned", "retries", "unsure", "said"),
-    [
-        (0.0014, 0.19, 0, False, "within tolerance"),
-        (0.0014, 0.19, 0, True, "failed"),
-        (-0.0016, 0.0, 0, False, "failed"),
-        (-0.0016, 0.0, 5, False, "within tolerance"),
-        (0.0031, 0.0, 5, False, None),
-        (0.0, -0.21, 0, False, STANDSTILL),
-        (0.0, -0.21, 5, False, "within tolerance"),
-    ],
-)
+@cases("""
+beside, turned, retries, unsure, said:
+  - [0.0014, 0.19, 0, false, within tolerance]
+  - [0.0014, 0.19, 0, true, failed]
+  - [-0.0016, 0.0, 0, false, failed]
+  - [-0.0016, 0.0, 5, false, within tolerance]
+  - [0.0031, 0.0, 5, false, null]
+  - [0.0, -0.21, 0, false, stands]
+  - [0.0, -0.21, 5, false, within tolerance]
+""")
 def test_docked_is_what_is_within_tolerance_with_half_of_it_to_spare(
     beside, turned, retries, unsure, said
 ):
@@ -114,7 +115,7 @@ def test_eight_corrections_have_to_do():
     robot = np.array([-DOCKED, 0.0, math.radians(0.3)])
     docking, state = docking_at(robot), Confirm()
     said = [name_of(state._judge(docking, robot)) for _ in range(9)]
-    assert said == [STANDSTILL] * 8 + ["failed"]
+    assert said == ["stands"] * 8 + ["failed"]
 
 
 def test_a_correction_takes_six_seconds_at_most():
@@ -148,15 +149,13 @@ def test_a_little_drive_on_which_the_marker_is_not_seen_is_not_driven_again(monk
     assert docking.forgotten == [docking.track]
 
 
-@pytest.mark.parametrize(
-    ("beside", "deviation", "before", "way", "said"),
-    [
-        (0.0, 0.3, 1, ["a way"], "unclear"),
-        (0.0, 0.3, 0, ["a way"], "bad start"),
-        (0.0, 0.3, 1, None, "bad start"),
-        (0.6, 0.01, 1, ["a way"], "bad start"),
-    ],
-)
+@cases("""
+beside, deviation, before, way, said:
+  - [0.0, 0.3, 1, [a way], unclear]
+  - [0.0, 0.3, 0, [a way], bad start]
+  - [0.0, 0.3, 1, null, bad start]
+  - [0.6, 0.01, 1, [a way], bad start]
+""")
 def test_a_yaw_that_a_way_in_did_not_tell_is_looked_at_from_aside(
     monkeypatch, beside, deviation, before, way, said
 ):
@@ -168,18 +167,17 @@ def test_a_yaw_that_a_way_in_did_not_tell_is_looked_at_from_aside(
     assert docking._stagings == 1
 
 
-@pytest.mark.parametrize(
-    ("robot", "said"),
-    [
-        ((-0.95, 0.024, 0.0), ""),
-        ((-0.95, -0.026, 0.0), "26 mm beside the axis"),
-        ((-0.97, 0.026, 0.0), ""),
-        ((-0.79, 0.0, -math.radians(6.1)), "6.1 degrees against the axis"),
-        ((-0.81, 0.0, math.radians(6.1)), ""),
-        ((-2.3, 0.19, 0.0), "too near the walls"),
-    ],
-)
-def test_an_approach_is_given_up_where_it_would_not_end_well(robot, said):
+@cases("""
+along, beside, degrees, said:
+  - [-0.95, 0.024, 0.0, ""]
+  - [-0.95, -0.026, 0.0, 26 mm beside the axis]
+  - [-0.97, 0.026, 0.0, ""]
+  - [-0.79, 0.0, -6.1, 6.1 degrees against the axis]
+  - [-0.81, 0.0, 6.1, ""]
+  - [-2.3, 0.19, 0.0, too near the walls]
+""")
+def test_an_approach_is_given_up_where_it_would_not_end_well(along, beside, degrees, said):
+    robot = along, beside, math.radians(degrees)
     docking = docking_at(robot)
     docking.reject_track = lambda *_: False
     assert docking.axis.check_gate(robot) == said
@@ -198,10 +196,12 @@ def at_the_dock(unseen, left=0.0):
     return docking
 
 
-@pytest.mark.parametrize(
-    ("unseen", "frames", "said"),
-    [(0.2, 7, "within tolerance"), (5.0, 0, "failed"), (0.2, 2, STANDSTILL)],
-)
+@cases("""
+unseen, frames, said:
+  - [0.2, 7, within tolerance]
+  - [5.0, 0, failed]
+  - [0.2, 2, stands]
+""")
 def test_it_waits_for_images_as_long_as_some_come(unseen, frames, said):
     docking, state = at_the_dock(unseen), Confirm()
     state.step(docking)
@@ -212,10 +212,7 @@ def test_it_waits_for_images_as_long_as_some_come(unseen, frames, said):
     assert docking.lost_at_the_end == (said == "failed")
 
 
-@pytest.mark.parametrize(
-    ("left", "certain", "said"),
-    [(0.02, True, None), (0.02, False, "failed"), (0.5, True, "lost")],
-)
+@cases("left, certain, said: [[0.02, true, null], [0.02, false, failed], [0.5, true, lost]]")
 def test_a_marker_that_is_lost_near_the_dock_is_not_searched_anew(left, certain, said):
     """Something has come before it; what is known of the dock is known all the same."""
     docking, state = at_the_dock(5.0, left), states.Approach()
@@ -227,17 +224,15 @@ def test_a_marker_that_is_lost_near_the_dock_is_not_searched_anew(left, certain,
     assert docking.lost_at_the_end == (said != "lost")
 
 
-@pytest.mark.parametrize(
-    ("left", "along", "beside", "lost", "cut_off", "blind"),
-    [
-        (0.11, 0.004, 0.002, True, False, True),
-        (0.11, 0.004, 0.002, False, True, True),
-        (0.11, 0.004, 0.002, False, False, False),
-        (0.11, 0.006, 0.002, True, True, False),
-        (0.11, 0.004, 0.004, True, True, False),
-        (0.13, 0.004, 0.002, True, True, False),
-    ],
-)
+@cases("""
+left, along, beside, lost, cut_off, blind:
+  - [0.11, 0.004, 0.002, true, false, true]
+  - [0.11, 0.004, 0.002, false, true, true]
+  - [0.11, 0.004, 0.002, false, false, false]
+  - [0.11, 0.006, 0.002, true, true, false]
+  - [0.11, 0.004, 0.004, true, true, false]
+  - [0.13, 0.004, 0.002, true, true, false]
+""")
 def test_the_last_part_is_driven_blind_where_the_place_is_known(
     left, along, beside, lost, cut_off, blind
 ):

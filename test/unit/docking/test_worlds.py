@@ -6,13 +6,13 @@ import shlex
 import numpy as np
 import pytest
 from PIL import Image
+from shared import cases
 
 from bullet_lab.markers import main
 from bullet_lab.simulation.world.resources import package_share
 from bullet_lab.simulation.world.sdf import read_world_file
 
 ROOT = package_share()
-LIGHTS = ("docking_dark", "docking_bright", "docking_backlit")
 COMMANDS = {
     "docking_station": "--on dock",
     "docking_station_dots": "--on dock --dots",
@@ -30,7 +30,7 @@ def model(name, of):
     return next(m for m in of.models if m.name == name)
 
 
-@pytest.mark.parametrize("name", LIGHTS)
+@cases("name: [docking_dark, docking_bright, docking_backlit]")
 def test_the_lights_are_all_that_differs(name):
     plain, other = world("docking"), world(name)
     assert [m.name for m in other.models] == [m.name for m in plain.models]
@@ -65,18 +65,16 @@ def test_a_made_model_can_be_put_into_a_world(tmp_path, monkeypatch, capsys):
     assert plate.position[2] == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize(
-    "words, said",
-    [
-        ("x --id 99999", "not 99999"),
-        ("x --id one", "invalid int value"),
-        ("x --dots", "add --on dock"),
-        ("x --on dock --around 0.8 --dots", "not both"),
-        ("x --on panel --height 0.1", "in the floor"),
-        ("'a name'", "no name of a model"),
-        ("/proc/nowhere/x", "cannot make the folder"),
-    ],
-)
+@cases("""
+words, said:
+  - [x --id 99999, not 99999]
+  - [x --id one, invalid int value]
+  - [x --dots, add --on dock]
+  - [x --on dock --around 0.8 --dots, not both]
+  - [x --on panel --height 0.1, in the floor]
+  - ["'a name'", no name of a model]
+  - [/proc/nowhere/x, cannot make the folder]
+""")
 def test_bad_arguments_are_refused_with_one_line(words, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run(words) == 2

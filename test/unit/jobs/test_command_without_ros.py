@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.jobs import command
 from bullet_lab.jobs.declaration import find_jobs, read_job
@@ -37,16 +37,14 @@ def test_jobs_without_ros_are_listed(monkeypatch, capsys):
     assert "  dock " not in listed
 
 
-WRONG = """
-dock: "bullet_lab: dock needs ROS: clone bullet_lab, run scripts/run.sh dock"
-square: "bullet_lab: there is no job 'square' (did you mean 'squares'?)"
-"squares rtf:=1": "bullet_lab: squares has no argument 'rtf'"
-"squares std:=-1": "bullet_lab: std is '-1': it must be a number >= 0"
-"squares mode:=fast": "bullet_lab: mode is 'fast': it must be one of open_loop"
-"""
-
-
-@pytest.mark.parametrize("words, said", yaml.safe_load(WRONG).items())
+@cases("""
+words, said:
+  dock: "bullet_lab: dock needs ROS: clone bullet_lab, run scripts/run.sh dock"
+  square: "bullet_lab: there is no job 'square' (did you mean 'squares'?)"
+  "squares rtf:=1": "bullet_lab: squares has no argument 'rtf'"
+  "squares std:=-1": "bullet_lab: std is '-1': it must be a number >= 0"
+  "squares mode:=fast": "bullet_lab: mode is 'fast': it must be one of open_loop"
+""")
 def test_a_wrong_command_line_is_one_line(words, said, monkeypatch, capsys):
     assert run(monkeypatch, *words.split()) == command.STATUS_BAD_VALUE
     printed = capsys.readouterr()

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from shared import cases
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.errors import LabError
@@ -78,22 +79,18 @@ def test_argument_without_default_is_required(tmp_path):
         read_assignments(of_argument("", tmp_path), [])
 
 
-@pytest.mark.parametrize(
-    "doc, good, bad",
-    yaml.safe_load(
-        f"""
-        - ["Seed [integer]", ["0", "42"], ["1.0", "1e3", "٣"]]
-        - ["Any [number]", ["-1e300", "1e-3", ".5"], ["1e999", "1_000", "0x10", " 1", nan, x, ""]]
-        - ["Show [true|false]", ["true", "false"], ["True", "1", "yes", ""]]
-        - ["Rule [report|rate_invariant]", [rate_invariant], [report|rate_invariant, rep]]
-        - ["Where [folder]", [a/b c, /tmp], [""]]
-        - ["Which [file]", ["", {__file__}, "package://bullet_lab/x"], [nothing.urdf, /tmp]]
-        - ["What [text]", ["", anything], []]
-        - ["no bracket", ["", anything], []]
-        - ["Bracket [number] in the middle.", [anything], []]
-        """
-    ),
-)
+@cases("""
+doc, good, bad:
+  - ["Seed [integer]", ["0", "42"], ["1.0", "1e3", "٣"]]
+  - ["Any [number]", ["-1e300", "1e-3", ".5"], ["1e999", "1_000", "0x10", " 1", nan, x, ""]]
+  - ["Show [true|false]", ["true", "false"], ["True", "1", "yes", ""]]
+  - ["Rule [report|rate_invariant]", [rate_invariant], [report|rate_invariant, rep]]
+  - ["Where [folder]", [a/b c, /tmp], [""]]
+  - ["Which [file]", ["", /etc/passwd, "package://bullet_lab/x"], [nothing.urdf, /tmp]]
+  - ["What [text]", ["", anything], []]
+  - ["no bracket", ["", anything], []]
+  - ["Bracket [number] in the middle.", [anything], []]
+""")
 def test_values_that_a_bracket_allows(tmp_path, doc, good, bad):
     checked = of_argument(f'default="" doc="{doc}"', tmp_path).arguments["std"]
     for value in good:
@@ -119,23 +116,26 @@ def test_a_name_that_is_too_long_is_refused(tmp_path, name):
         read_assignments(job, [f"std:={name}"])
 
 
-@pytest.mark.parametrize(
-    "doc", ["x [nubmer]", "x [number >= 0]", "x [only]", "x [a||b]", "x [ ]"]
-)
+@cases("""
+doc:
+  - "x [nubmer]"
+  - "x [number >= 0]"
+  - "x [only]"
+  - "x [a||b]"
+  - "x [ ]"
+""")
 def test_bracket_outside_the_grammar_is_an_error(tmp_path, doc):
     with pytest.raises(UsageError, match=r"the doc of std ends with \[.*\]; a bracket is text, "):
         of_argument(f'default="1" doc="{doc}"', tmp_path)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "<launch>",
-        "",
-        '<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><launch>&b;</launch>',
-        '<launch><arg name="a" doc="x [numbre]"/></launch>',
-    ],
-)
+@cases("""
+text:
+  - <launch>
+  - ""
+  - '<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><launch>&b;</launch>'
+  - '<launch><arg name="a" doc="x [numbre]"/></launch>'
+""")
 def test_broken_launch_file_is_a_clear_error(tmp_path, text):
     with pytest.raises(UsageError, match=r"a\.launch: "):
         read("a", text, tmp_path)
@@ -208,32 +208,23 @@ def test_arguments_are_described_by_the_parameters_that_they_set(tmp_path):
     assert "  speed:=0.5  How fast [number]" in text
 
 
-# Words and what is said of them, for both launch files.
-WRONG = """
-- [std=1, "'std=1' is not of the form name:=value"]
-- [--std, not of the form]
-- ["stf:=1", no argument 'stf' .did you mean 'std']
-- ["fixed:=2", no argument 'fixed']
-- ["inner:=2", no argument 'inner']
-- ["std:=x", "^std is 'x': it must be a number$"]
-"""
-# Those that a node would refuse.
-WRONG_FOR_NODES = r"""
-- ["noise:=-1", '^noise is ''-1'': it must be a number >= 0 and <= 1e\+06$']
-- ["seed:=0.5", "^seed is '0.5': it must be a whole number from 0 to 2147483647$"]
-- ["speed:=x", "^speed is 'x': it must be a number$"]
-"""
-REFUSED = [
-    (text, *refusal)
-    for text, refusals in ((TEXT, WRONG), (NODES, WRONG_FOR_NODES))
-    for refusal in yaml.safe_load(refusals)
-]
-
-
-@pytest.mark.parametrize("text, word, message", REFUSED)
-def test_wrong_words_are_refused_in_one_line(tmp_path, text, word, message):
+@cases(r"""
+nodes, word, message:
+  # Which of the launch files, a word, and what is said of it.
+  - [false, std=1, "'std=1' is not of the form name:=value"]
+  - [false, --std, not of the form]
+  - [false, "stf:=1", no argument 'stf' .did you mean 'std']
+  - [false, "fixed:=2", no argument 'fixed']
+  - [false, "inner:=2", no argument 'inner']
+  - [false, "std:=x", "^std is 'x': it must be a number$"]
+  # Those that a node would refuse.
+  - [true, "noise:=-1", '^noise is ''-1'': it must be a number >= 0 and <= 1e\+06$']
+  - [true, "seed:=0.5", "^seed is '0.5': it must be a whole number from 0 to 2147483647$"]
+  - [true, "speed:=x", "^speed is 'x': it must be a number$"]
+""")
+def test_wrong_words_are_refused_in_one_line(tmp_path, nodes, word, message):
     with pytest.raises((UsageError, ParameterError), match=message) as refusal:
-        read_assignments(read("a", text, tmp_path), [word])
+        read_assignments(read("a", NODES if nodes else TEXT, tmp_path), [word])
     assert "\n" not in str(refusal.value)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from map_values import value_at
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive import STANDSTILL, DrivePhase
@@ -48,7 +49,7 @@ def test_on_free_floor_the_plan_is_straight():
     assert max(x for x, _ in way) <= 1.8
 
 
-@pytest.mark.parametrize("radius", [0.1, 0.2, 0.3])
+@cases("radius: [0.1, 0.2, 0.3]")
 def test_the_plan_goes_through_a_door_at_a_distance(radius):
     costmap = RobotCostmap(floor(WALL, DOOR), radius)
     way = costmap.plan((0.6, 0.6), (3.4, 0.6))
@@ -59,14 +60,12 @@ def test_the_plan_goes_through_a_door_at_a_distance(radius):
     assert shortest <= length(way) <= 1.05 * shortest
 
 
-@pytest.mark.parametrize(
-    "goal, radius, why",
-    [
-        ((3.4, 0.6), 0.45, "wide enough for a radius of 0.45 m"),
-        ((1.9, 0.6), 0.2, "from something; the robot needs 0.24"),
-        ((9.0, 0.6), 0.2, "off the map"),
-    ],
-)
+@cases("""
+goal, radius, why:
+  - [[3.4, 0.6], 0.45, wide enough for a radius of 0.45 m]
+  - [[1.9, 0.6], 0.2, from something; the robot needs 0.24]
+  - [[9.0, 0.6], 0.2, off the map]
+""")
 def test_without_a_way_there_is_a_reason(goal, radius, why):
     costmap = RobotCostmap(floor(WALL, DOOR), radius)
     assert costmap.plan((0.6, 0.6), goal) is None

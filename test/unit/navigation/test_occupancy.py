@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.navigation.occupancy import MapError, OccupancyMap, read_map
 
@@ -32,42 +33,40 @@ def test_a_map_is_read_back(tmp_path):
 HEAD = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\n"
 
 
-@pytest.mark.parametrize(
-    "more, levels, values",
-    [
-        ("", [[0, 88, 89, 204, 205, 206, 255]], [100, 100, 100, -1, -1, 0, 0]),
-        ("negate: 1\n", [[0, 255, 49, 50]], [0, 100, 0, -1]),
-        ("occupied_thresh: 0.9\nfree_thresh: 0.5\n", [[0, 100, 200]], [100, -1, 0]),
-        ("mode: trinary\n", [[0, 205]], [100, -1]),
-        # Of a picture with colours, the mean.
-        ("", [[[0, 0, 255], [255, 255, 240]]], [100, 0]),
-    ],
-)
+@cases(r"""
+more, levels, values:
+  - ["", [[0, 88, 89, 204, 205, 206, 255]], [100, 100, 100, -1, -1, 0, 0]]
+  - ["negate: 1\n", [[0, 255, 49, 50]], [0, 100, 0, -1]]
+  - ["occupied_thresh: 0.9\nfree_thresh: 0.5\n", [[0, 100, 200]], [100, -1, 0]]
+  - ["mode: trinary\n", [[0, 205]], [100, -1]]
+  # Of a picture with colours, the mean.
+  - ["", [[[0, 0, 255], [255, 255, 240]]], [100, 0]]
+""")
 def test_grey_levels_mean_what_they_mean_to_map_server(tmp_path, more, levels, values):
     assert read_map(write(tmp_path, HEAD + more, levels)).cells.tolist() == [values]
 
 
-@pytest.mark.parametrize(
-    "text, expected",
-    [
-        ("image: map.png\nresolution: 0.1\n", "origin is missing"),
-        ("[1, 2", "is no map"),
-        ("3", "is no map"),
-        ("image: other.png\nresolution: 0.1\norigin: [0, 0, 0]\n", "cannot read the image"),
-        (HEAD.replace("0.1", "-1"), "needs a resolution > 0"),
-        (HEAD.replace("0, 0, 0", "0, 0"), "an origin of 3"),
-        (HEAD + "mode: scale\n", "the mode trinary"),
-    ],
-)
-def test_what_is_no_map_is_refused(tmp_path, text, expected):
+@cases(r"""
+old, new, expected:
+  - ["origin: [0, 0, 0]", "", origin is missing]
+  # In place of all of it.
+  - [null, "[1, 2", is no map]
+  - [null, "3", is no map]
+  - [map.png, other.png, cannot read the image]
+  - ["0.1", "-1", needs a resolution > 0]
+  - ["0, 0, 0", "0, 0", an origin of 3]
+  - ["image", "mode: scale\nimage", the mode trinary]
+""")
+def test_what_is_no_map_is_refused(tmp_path, old, new, expected):
     with pytest.raises(MapError, match=expected):
-        read_map(write(tmp_path, text, [[0]]))
+        read_map(write(tmp_path, HEAD.replace(old or HEAD, new), [[0]]))
 
 
-@pytest.mark.parametrize(
-    "path, expected",
-    [("none.yaml", "cannot read"), ("", "the map is '.'; it must be a YAML file")],
-)
+@cases("""
+path, expected:
+  - [none.yaml, cannot read]
+  - ["", the map is '.'; it must be a YAML file]
+""")
 def test_a_file_that_is_none_is_refused(path, expected):
     with pytest.raises(MapError, match=expected):
         read_map(Path(path))

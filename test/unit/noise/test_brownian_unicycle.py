@@ -2,8 +2,8 @@
 
 import brownian_unicycle
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from shared import cases
 
 from bullet_lab.noise.exact_moments import exact_moments
 from bullet_lab.noise.noisy_paths import noisy_steps
@@ -19,7 +19,7 @@ def arc(length, curvature, count):
     return arc / [curvature, curvature, 1.0]
 
 
-@pytest.mark.parametrize("k, curvature", [(0.01, 0.5), (0.3, 0.0), (1.0, -2.0)])
+@cases("k, curvature: [[0.01, 0.5], [0.3, 0.0], [1.0, -2.0]]")
 def test_exact_moments_of_many_steps_are_those_of_none(k, curvature):
     # The model's heading gains k² per metre and per radian.
     steps = noisy_steps(arc(4.0, curvature, 2000), RateInvariantRule(k))

@@ -6,6 +6,7 @@ import pytest
 from noise_paths import RULES
 from numpy.testing import assert_allclose
 from scipy import optimize, stats
+from shared import cases
 
 from bullet_lab.noise.calibration import Problem, fit, intervals, profile
 from bullet_lab.noise.goodness import drawn_pairs, goodness
@@ -140,16 +141,14 @@ def goodness_of(problem):
     return goodness(fit(problem), np.ones(len(drive()), dtype=bool), 1)
 
 
-@pytest.mark.parametrize(
-    ("rule", "figures"),
-    [
-        (RULES[0], (0.036166556, 0.885, 0.281003075, 0.380088849)),
-        (RULES[1], (0.043372344, 0.425, 0.300391041, 1.0)),
-        (RULES[2], (0.040206139, 0.420, 0.862059050, 1.0)),
-    ],
-)
-def test_the_right_model_fits(rule, figures):
-    found = judged(rule, rule.name)
+@cases("""
+number, figures:
+  - [0, [0.036166556, 0.885, 0.281003075, 0.380088849]]
+  - [1, [0.043372344, 0.425, 0.300391041, 1.0]]
+  - [2, [0.040206139, 0.420, 0.862059050, 1.0]]
+""")
+def test_the_right_model_fits(number, figures):
+    found = judged(RULES[number], RULES[number].name)
     assert found.fits and found.words() == []
     assert found.nees == pytest.approx(1.0, abs=0.1)
     each = found.distance, found.shape_p, found.size_p, found.neighbours_p

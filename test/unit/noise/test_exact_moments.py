@@ -16,6 +16,7 @@ from noise_paths import assert_moments, composed, line, square
 from numpy.polynomial.hermite_e import hermegauss
 from numpy.testing import assert_allclose
 from scipy import stats
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import ellipse_points
@@ -106,7 +107,7 @@ def assert_weighted(found, errors, weights):
 
 
 # Short steps with much noise, and a way on which bending outweighs the noise along it.
-@pytest.mark.parametrize("std, length", [(0.2, 0.3), (0.05, 10.0), (1e-7, 1.0)])
+@cases("std, length: [[0.2, 0.3], [0.05, 10.0], [1.0e-7, 1.0]]")
 @pytest.mark.parametrize("model", MODELS)
 def test_moments_are_those_by_quadrature(model, std, length):
     moves = [(length, 0.0, 0.4), (length, 0.2 * length, -0.3), (-length, 0.0, 0.2)]

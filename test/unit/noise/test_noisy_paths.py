@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from noise_paths import RULES, played, reported, square, wandering
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import cases
 
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory
@@ -43,14 +44,14 @@ def test_the_loop_gives_the_paths_of_the_same_draws_and_their_exact_moments(rule
     assert np.abs(difference).max() < 1e-12
 
 
-@pytest.mark.parametrize("size", [1, 250])
+@cases("size: [1, 250]")
 def test_the_size_of_the_blocks_does_not_matter(size):
     poses = wandering()
     expected = drawn(poses, RULES[0], 43, 7)
     assert_array_equal(drawn(poses, RULES[0], 43, 7, steps_per_block=size), expected)
 
 
-@pytest.mark.parametrize("rate", [0.9, 20.0, 50.0])
+@cases("rate: [0.9, 20.0, 50.0]")
 def test_a_rate_keeps_start_end_and_way(rate):
     trajectory = square_drive()
     other = resample(trajectory, rate)

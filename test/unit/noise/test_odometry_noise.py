@@ -8,11 +8,12 @@ import pytest
 from noise_paths import RULES, played, reported, wandering
 from numpy.testing import assert_allclose, assert_array_equal
 from recorded_paths import make_rule
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import ParameterError, check_parameters
 from bullet_lab.noise.odometry_noise import (
-    MIN_TRANSLATION,
+    MODELS,
     NoiseError,
     NoisyPath,
     ProbabilisticRule,
@@ -22,40 +23,38 @@ from bullet_lab.noise.odometry_noise import (
 )
 
 
-@pytest.mark.parametrize(
-    "step, expected",
-    [
-        ((0.0, -0.2, 0.0), (-math.pi / 2, 0.2, math.pi / 2)),
-        ((-0.1, -0.1, 0.5), (math.pi / 4, -math.sqrt(0.02), 0.5 - math.pi / 4)),
-        ((-0.1, 0.1, 3.0), (-math.pi / 4, -math.sqrt(0.02), 3.0 + math.pi / 4 - 2 * math.pi)),
-        ((-0.0, -0.0, 0.7), (0.0, 0.0, 0.7)),
-        ((0.0, 0.9 * MIN_TRANSLATION, 0.7), (0.0, 0.9 * MIN_TRANSLATION, 0.7)),
-        ((-0.9 * MIN_TRANSLATION, 0.0, 0.7), (0.0, -0.9 * MIN_TRANSLATION, 0.7)),
-        ((0.0, 1.1 * MIN_TRANSLATION, 0.0), (math.pi / 2, 1.1 * MIN_TRANSLATION, -math.pi / 2)),
-    ],
-)
-def test_decompose(step, expected):
-    assert_allclose(decompose(step), expected, atol=1e-15)
+# The last steps are below and beyond MIN_TRANSLATION, below which a translation has no direction.
+@cases("""
+step, degrees1, way, degrees2:
+  - [[0.0, -0.2, 0.0], -90.0, 0.2, 90.0]
+  - [[-0.1, -0.1, 0.5], 45.0, -0.1414213562373095, -16.35211024345884]
+  - [[-0.1, 0.1, 3.0], -45.0, -0.1414213562373095, -143.11266146075303]
+  - [[-0.0, -0.0, 0.7], 0.0, 0.0, 40.10704565915762]
+  - [[0.0, 9.0e-5, 0.7], 0.0, 9.0e-5, 40.10704565915762]
+  - [[-9.0e-5, 0.0, 0.7], 0.0, -9.0e-5, 40.10704565915762]
+  - [[0.0, 1.1e-4, 0.0], 90.0, 1.1e-4, -90.0]
+""")
+def test_decompose(step, degrees1, way, degrees2):
+    expected = math.radians(degrees1), way, math.radians(degrees2)
+    assert_allclose(decompose(step), expected, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    "rule, step, variances",
-    [
-        # In proportion to each part.
-        (ReportRule(0.1), (0.2, -0.3, -0.4), (4e-4, 9e-4, 16e-4)),
-        # By metres and radians; strafing is no turn.
-        (RateInvariantRule(0.1), (0.0, -0.3, 0.0), (0.0015, 0.003, 0.0015)),
-        (RateInvariantRule(0.1), (0.0, 0.0, -0.4), (0.002, 0.0, 0.002)),
-        (RateInvariantRule(0.1), decompose((0.0, 0.3, 0.0)), (0.0015, 0.003, 0.0015)),
-        # Table 5.6.
-        (ProbabilisticRule(1, 2, 3, 4), (0.1, -0.2, 0.3), (0.01 + 0.08, 0.12 + 0.4, 0.09 + 0.08)),
-    ],
-)
-def test_variances(rule, step, variances):
-    assert rule.variances(*step) == pytest.approx(variances)
+@cases("""
+model, parameters, step, variances:
+  # In proportion to each part.
+  - [report, [0.1], [0.2, -0.3, -0.4], [4.0e-4, 9.0e-4, 16.0e-4]]
+  # By metres and radians; strafing is no turn.
+  - [rate_invariant, [0.1], [0.0, -0.3, 0.0], [0.0015, 0.003, 0.0015]]
+  - [rate_invariant, [0.1], [0.0, 0.0, -0.4], [0.002, 0.0, 0.002]]
+  - [rate_invariant, [0.1], [1.5707963267948966, 0.3, -1.5707963267948966], [0.0015, 0.003, 0.0015]]
+  # Table 5.6: of 0.1, -0.2, 0.3.
+  - [probabilistic, [1, 2, 3, 4], [0.1, -0.2, 0.3], [0.09, 0.52, 0.17]]
+""")
+def test_variances(model, parameters, step, variances):
+    assert MODELS[model](*parameters).variances(*step) == pytest.approx(variances)
 
 
-@pytest.mark.parametrize("bad", [-0.1, math.nan, 1e300])
+@cases("bad: [-0.1, .nan, 1.0e+300]")
 def test_bad_parameters_are_refused(bad):
     for name, rule in (
         ("std", ReportRule(bad)),

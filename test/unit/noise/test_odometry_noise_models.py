@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 import pytest
 from recorded_paths import make_rule
+from shared import cases
 
 from bullet_lab.core import parameters
 from bullet_lab.core.parameters import (
@@ -143,7 +144,11 @@ def noisy_odom(monkeypatch):
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("as_published", ["true", "false"])
+@cases("""
+as_published:
+  - "true"
+  - "false"
+""")
 def test_in_a_start_of_noisy_odom(noisy_odom, checks, model, as_published):
     given = {"~std": STD, "~model": model, "~as_published": as_published, "~robots": 2}
     read = read_parameters(noisy_odom.NoisyOdomParameters, given.get)

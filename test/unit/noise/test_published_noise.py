@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from noise_paths import drive, played, reported
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import atan2, hypot
@@ -93,7 +94,7 @@ def test_combinations():
     assert counts == sorted(counts)
 
 
-@pytest.mark.parametrize("defects, steps", [((), 100), (("aliasing",), 1)])
+@cases("defects, steps: [[[], 100], [[aliasing], 1]]")
 def test_aliasing_forgets_the_error_of_the_step_before(defects, steps):
     poses = drive(START, (100, (0.1, 0.0, 0.0)))
     off = noisy(poses, *defects, seeds=range(300))[-1] - poses[-1]
@@ -101,7 +102,7 @@ def test_aliasing_forgets_the_error_of_the_step_before(defects, steps):
     assert rms == pytest.approx(STD * 0.1 * math.sqrt(steps), rel=0.1)
 
 
-@pytest.mark.parametrize("defects", [(), ("unwrapped",)])
+@cases("defects: [[], [unwrapped]]")
 def test_unwrapped_makes_noise_where_the_heading_passes_half_a_turn(defects):
     poses = drive((0, 0, 3.0), (10, (0.1, 0.0, 0.05)))
     passing = int(np.argmax(poses[:, 2] < 0.0))
@@ -119,7 +120,7 @@ def test_noise_at_rest_turns_a_robot_that_stands_still():
     assert (turned[..., :2] == poses[0, :2]).all()
 
 
-@pytest.mark.parametrize("defects, bends", [((), 1.0), (("unbent",), 0.0)])
+@cases("defects, bends: [[[], 1.0], [[unbent], 0.0]]")
 def test_unbent_keeps_the_direction_whatever_the_heading(defects, bends):
     replay = noisy(drive(START, (10, (0.0, 0.0, 0.15)), (20, (0.1, 0.0, 0.0))), *defects)
     way = replay[-1] - replay[10]

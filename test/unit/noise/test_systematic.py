@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from noise_paths import drive, line, played, reported, wandering
 from numpy.testing import assert_allclose
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import ParameterError, check_parameters
@@ -34,8 +35,8 @@ def reckoned(angles, left, right, base):
     return np.array(poses)
 
 
-@pytest.mark.parametrize("ticks", [0.0, 90.0, 5000.0])
-@pytest.mark.parametrize("scale, base, diameter", [(0.0, 0.01, 0.002), (-0.02, -0.03, -0.01)])
+@cases("ticks: [0.0, 90.0, 5000.0]")
+@cases("scale, base, diameter: [[0.0, 0.01, 0.002], [-0.02, -0.03, -0.01]]")
 def test_they_are_what_encoder_odometry_makes_of_wrong_wheels(scale, base, diameter, ticks):
     angles = np.cumsum(np.random.default_rng(1).normal(0.3, 1.0, (300, 2)), axis=0)
     radius = 0.14
@@ -78,7 +79,7 @@ def test_whole_paths_and_pose_by_pose_agree():
     assert_allclose(composed[:2], steps[-1].pose[:2], rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["scale_error", "base_error", "diameter_error", "wheel_base"])
+@cases("name: [scale_error, base_error, diameter_error, wheel_base]")
 def test_what_makes_no_sense_is_refused(name):
     for value in (math.nan, -0.6, math.inf):
         with pytest.raises(ParameterError, match=name):

@@ -3,7 +3,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of_figure
+from alike import assert_as_before, lines_of, lines_of_figure
+from shared import cases
 
 from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.docking.database import Dock, DockMarker, DockTolerance, DockUncertainty
@@ -48,52 +49,31 @@ def drive(report, count, end=DOCKED):
         report.take("odom", Reading(STEP * number, pose))
 
 
-def test_the_path_begins_with_the_goal_and_ends_half_a_second_after_it(report):
-    drive(report, 40)
-    report.take("dock/finished", Reading(20 * STEP))
-    assert report.until == 30 * STEP
-    report.take("bullet_lab/touched", Reading(30 * STEP, (), {}))
-    assert not report.is_complete()
-    report.result = DockingResult(DockingError.NONE, "docked", 1)
-    assert report.is_complete()
-    # After the end, and no part of it.
-    report.take("bullet_lab/touched", Reading(31 * STEP, (), {"wall": 3}))
-    report.finish(report.until)
-    stamps = read_tum(report.folder / "truth.tum").stamps
-    assert (stamps[0], stamps[-1]) == (0.5, 1.5)
-    summary = report.summary(True, RUN)
-    assert (summary["docked"], summary["retries"], summary["wall_contacts"]) == (True, 1, 0)
-    assert report.line(summary).startswith("docked after 1.0 s, 1 retries, 0 wall contacts")
-    assert not report.has_failed(summary)
-
-
-@pytest.mark.parametrize(
-    "end, touched, line",
-    [
-        ((3.44, 0.0031, 0.0), {}, "not within the dock's tolerance: docked after"),
-        (DOCKED, {"wall": 1}, "not without a contact: docked after"),
-    ],
-)
-def test_docked_is_within_the_docks_tolerance_and_without_a_contact(report, end, touched, line):
-    drive(report, 40, end)
-    report.take("dock/finished", Reading(20 * STEP))
-    report.take("bullet_lab/touched", Reading(29 * STEP, (), touched))
-    report.result = DockingResult(DockingError.NONE, "docked", 0)
-    summary = report.summary(True, RUN)
-    assert report.line(summary).startswith(line)
-    assert report.has_failed(summary)
-
-
-def test_a_docking_that_fails_and_one_that_is_broken_off(report):
-    summary = report.summary(False, RUN)
-    found = [summary[name] for name in ("finished", "error_name", "retries")]
-    assert found == [False, "UNKNOWN", None]
-    assert not report.has_failed(summary)
-    report.result = DockingResult(DockingError.BLOCKED, "a wall", 2)
-    report.take("dock/finished", Reading(20 * STEP))
-    summary = report.summary(True, RUN)
-    assert report.line(summary) == "not docked: a wall (BLOCKED)"
-    assert report.has_failed(summary)
+def test_reports_of_dockings_are_as_before(tmp_path):
+    told = []
+    for name, end, touched, error in (
+        ("docked", DOCKED, {}, "NONE"),
+        ("not within the tolerance", (3.44, 0.0031, 0.0), {}, "NONE"),
+        ("touched", DOCKED, {"wall": 1}, "NONE"),
+        ("failed", DOCKED, {}, "BLOCKED"),
+        ("broken off", DOCKED, {}, None),
+    ):
+        report = DockReport(tmp_path / name, STATION)
+        drive(report, 40, end)
+        if error:
+            report.take("dock/finished", Reading(20 * STEP))
+            report.take("bullet_lab/touched", Reading(30 * STEP, (), touched))
+            told += lines_of([report.until, report.is_complete()], f"{name}, no result yet")
+            report.result = DockingResult(DockingError[error], "why", 1)
+            # After the end, and no part of it.
+            report.take("bullet_lab/touched", Reading(31 * STEP, (), {"wall": 3}))
+        told += lines_of(report.is_complete(), name)
+        report.finish(report.until)
+        summary = report.summary(bool(error), RUN)
+        told += lines_of([report.line(summary), report.has_failed(summary)], f"{name}: line")
+        told += lines_of(summary, name)
+        told += lines_of(read_tum(report.folder / "truth.tum").stamps[[0, -1]], f"{name}, s")
+    assert_as_before(told, Path(__file__).with_name("docks.txt"))
 
 
 def test_pictures_are_those_of_the_docking_each_with_its_state(report):
@@ -117,7 +97,7 @@ def test_pictures_are_those_of_the_docking_each_with_its_state(report):
     assert titles == ["0.6 s, at rest", "0.7 s, staging"]
 
 
-@pytest.mark.parametrize("seen", [0, 8, 9, 33, 500])
+@cases("seen: [0, 8, 9, 33, 500]")
 def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
     sampler = EvenSample(8)
     for number in range(seen):

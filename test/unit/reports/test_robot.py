@@ -8,6 +8,7 @@ import pytest
 import yaml
 from alike import assert_as_before, lines_of, lines_of_figure
 from bullet_lab.msg import PluginDescription
+from shared import cases
 
 from bullet_lab.reports import Reading
 from bullet_lab.reports.robot import (
@@ -168,7 +169,7 @@ def test_the_truth_decides_while_odometry_pauses():
     assert part.is_done(odometry_pauses=True)
 
 
-@pytest.mark.parametrize("turned, done", [(-80.0, False), (-91.0, True), (300.0, False)])
+@cases("turned, done: [[-80.0, false], [-91.0, true], [300.0, false]]")
 def test_a_turn_the_other_way_ends_early(turned, done):
     assert turn(0.0, turned).is_done(odometry_pauses=True) == done
 

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from alike import assert_as_before, lines_of_figure
+from alike import assert_as_before, lines_of, lines_of_figure
 from recorded_paths import read_paths_csv
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.figures import new_figure, save
 from bullet_lab.core.files import FileError
-from bullet_lab.core.trajectory import CSV_HEADER, Trajectory, read_tum
+from bullet_lab.core.trajectory import Trajectory, read_tum
 from bullet_lab.reports import Reading
 from bullet_lab.reports.squares import (
     SquaresReport,
@@ -41,7 +41,7 @@ def fill(recording, perfect=20, noisy=15):
             recording.take("noisy_odom", Reading((index + 1) * TICK, POSES[-index - 1]))
 
 
-@pytest.mark.parametrize("finish", [False, True])
+@cases("finish: [false, true]")
 def test_what_was_recorded_is_read_back_bit_for_bit(recording, finish):
     fill(recording)
     if finish:
@@ -54,46 +54,27 @@ def test_what_was_recorded_is_read_back_bit_for_bit(recording, finish):
         assert path.stamps.tolist() == held.stamps.tolist()
 
 
-def test_finish_leaves_out_what_came_later(recording):
-    fill(recording)
-    assert recording.series["odom"].last == 20 * TICK
-    recording.finish(until=12 * TICK)
-    files = ("noisy_odom.tum", "odom.tum")
-    assert [len(read_tum(recording.folder / name)) for name in files] == [12, 12]
-    assert len(read_paths_csv(recording.folder / "paths.csv")[0]) == 12
-    assert len(recording.perfect()) == len(recording.pairs()[0]) == 12
-    assert {path.name for path in recording.folder.iterdir()} == {*files, "paths.csv"}
+def test_what_is_left_and_measured_is_as_before(tmp_path):
+    told = []
+    for name, until in (("empty", None), ("whole", None), ("cut off", 12 * TICK), ("driven", None)):
+        recording = SquaresReport(tmp_path / name)
+        if name in ("whole", "cut off"):
+            fill(recording)
+        for number in range(1, 81) if name == "driven" else ():
+            pose = (0.0125 * number, 0.0, 0.0)
+            recording.take("odom", Reading(number * TICK, pose))
+            noisy = Reading(number * TICK, np.add(pose, (0.3, 0.4, 0.1)))
+            recording.take("noisy_odom", noisy)
+        recording.finish(until)
+        for path in sorted(recording.folder.iterdir()):
+            told.append(f"{name}: {len(path.read_text().splitlines())} lines in {path.name}")
+        paths = recording.perfect(), *(recording.pairs() or ())
+        told += lines_of([path and len(path) for path in paths], f"{name}: poses")
+        told += lines_of(recording.measured(), name)
+    assert_as_before(told, Path(__file__).with_name("recorded.txt"))
 
 
-def test_an_empty_recording(recording):
-    assert recording.perfect() is None
-    assert recording.pairs() is None
-    recording.finish()
-    assert lines(recording, "paths.csv") == [CSV_HEADER]
-    assert lines(recording, "odom.tum") == []
-    summary = recording.measured()
-    assert (summary["side_lengths_m"], summary["pairs"], summary["ape_rmse_m"]) == ([], 0, None)
-
-
-def test_the_summary_has_the_sides_and_the_errors(recording):
-    for number in range(1, 81):
-        pose = (0.0125 * number, 0.0, 0.0)
-        recording.take("odom", Reading(number * TICK, pose))
-        noisy = Reading(number * TICK, np.add(pose, (0.3, 0.4, 0.1)))
-        recording.take("noisy_odom", noisy)
-    summary = recording.measured()
-    assert summary["side_lengths_m"] == pytest.approx([0.9875])
-    expected = {
-        "path_length_m": 0.9875,
-        "final_error_m": 0.5,
-        "ape_rmse_m": 0.5,
-        "final_heading_error_deg": math.degrees(0.1),
-        "pairs": 80,
-    }
-    assert {name: summary[name] for name in expected} == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("about, shown", [({}, 1), ({"as_published": True}, 0)])
+@cases("about, shown: [[{}, 1], [{as_published: true}, 0]]")
 def test_ellipses_are_those_of_the_noise_that_covariances_describe(tmp_path, about, shown):
     report = SquaresReport(tmp_path)
     covariance = ((0.01, 0.0), (0.0, 0.01))
@@ -106,18 +87,16 @@ def test_ellipses_are_those_of_the_noise_that_covariances_describe(tmp_path, abo
     assert sum("ellipses" in label for label in labels) == shown
 
 
-TITLES = r"""
-- [{}, ""]
-- - {std: 0.1, alpha1: 0.3, alpha4: 0.0, model: probabilistic}
-  - "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic"
-- - {std: 0.1, alpha1: 0.3, model: probabilistic, as_published: true}
-  - "\nstd = 0.1, model = probabilistic, as published"
-- - {std: 0.1, scale_error: 0.0, base_error: -0.02, wheel_base: 0.38}
-  - "\nstd = 0.1, base_error = -0.02"
-"""
-
-
-@pytest.mark.parametrize("about, line", yaml.safe_load(TITLES))
+@cases(r"""
+about, line:
+  - [{}, ""]
+  - - {std: 0.1, alpha1: 0.3, alpha4: 0.0, model: probabilistic}
+    - "\nalpha1 = 0.3, alpha4 = 0.0, model = probabilistic"
+  - - {std: 0.1, alpha1: 0.3, model: probabilistic, as_published: true}
+    - "\nstd = 0.1, model = probabilistic, as published"
+  - - {std: 0.1, scale_error: 0.0, base_error: -0.02, wheel_base: 0.38}
+    - "\nstd = 0.1, base_error = -0.02"
+""")
 def test_the_title_has_the_settings_that_act(about, line):
     assert settings_line(about) == line
 
@@ -147,14 +126,21 @@ def test_the_same_figure_is_the_same_file(tmp_path):
 
 SIDE = [(0.0095, 0.0, 0.0)] * 200
 TURN = [(0.0, 0.0, -math.radians(1.5))] * 60
-REST = [(0.0, 0.0, 0.0)] * 15
-SLOW_DRIVE = [(0.0005, 0.0, 0.0)] * 20
-SLOW_TURN = [(0.0, 0.0, -math.radians(0.1))] * 20
-MIXED = [(0.004, 0.0, -math.radians(0.7))]
-TREMBLE = np.random.default_rng(1).normal(0.0, 1e-6, (60, 3)).tolist()
-WOBBLE = [(0.0095, 0.0, sway) for sway in [0.12, -0.12, 0.0, 0.0] * 50]
-STRAY = [TURN[0], SIDE[0]]
-CURVE = [(0.01, 0.0, 0.01)] * 600
+LEGS = {
+    "side": SIDE,
+    "half side": SIDE[:100],
+    "slow side": [(0.0005, 0.0, 0.0)] * 20,
+    "turn": TURN,
+    "half turn": TURN[:30],
+    "slow turn": [(0.0, 0.0, -math.radians(0.1))] * 20,
+    "rest": [(0.0, 0.0, 0.0)] * 15,
+    "both": [(0.004, 0.0, -math.radians(0.7))],
+    "stray": [TURN[0], SIDE[0]],
+    "stray back": [SIDE[0], TURN[0]],
+    "tremble": np.random.default_rng(1).normal(0.0, 1e-6, (60, 3)).tolist(),
+    "wobble": [(0.0095, 0.0, sway) for sway in [0.12, -0.12, 0.0, 0.0] * 50],
+    "curve": [(0.01, 0.0, 0.01)] * 600,
+}
 
 
 def path(*legs, start=(0.0, 0.0, 0.0)):
@@ -164,22 +150,23 @@ def path(*legs, start=(0.0, 0.0, 0.0)):
     return Trajectory(np.arange(len(poses)) / 20, poses)
 
 
-@pytest.mark.parametrize(
-    "lap, side, turn",
-    [
-        ([SIDE, TURN], (1.9, 1e-9), (90.0, 1e-9)),
-        ([SIDE[:90], REST, SIDE[90:], REST, TURN[:30], REST, TURN[30:]], (1.9, 1e-9), (90.0, 1e-9)),
-        ([TREMBLE, SIDE, TREMBLE, TURN], (1.9, 1e-4), (90.0, 1e-2)),
-        # A slow end belongs to its segment.
-        ([SIDE, SLOW_DRIVE, TURN, SLOW_TURN], (1.91, 1e-6), (92.0, 1e-4)),
-        # Stray messages at a corner do not split.
-        ([SIDE, STRAY, TURN, STRAY[::-1]], (1.9, 0.02), (93.0, 1.6)),
-        # A message with both gives its share to both.
-        ([SIDE, MIXED, TURN], (1.904, 1e-4), (90.7, 1e-4)),
-        ([WOBBLE, TURN], (1.9, 0.2), (90.0, 7.0)),
-    ],
-)
+@cases("""
+lap, side, turn:
+  - [[side, turn], [1.9, 1.0e-9], [90.0, 1.0e-9]]
+  - - [half side, rest, half side, rest, half turn, rest, half turn]
+    - [1.9, 1.0e-9]
+    - [90.0, 1.0e-9]
+  - [[tremble, side, tremble, turn], [1.9, 1.0e-4], [90.0, 1.0e-2]]
+  # A slow end belongs to its segment.
+  - [[side, slow side, turn, slow turn], [1.91, 1.0e-6], [92.0, 1.0e-4]]
+  # Stray messages at a corner do not split.
+  - [[side, stray, turn, stray back], [1.9, 0.02], [93.0, 1.6]]
+  # A message with both gives its share to both.
+  - [[side, both, turn], [1.904, 1.0e-4], [90.7, 1.0e-4]]
+  - [[wobble, turn], [1.9, 0.2], [90.0, 7.0]]
+""")
 def test_a_square(lap, side, turn):
+    lap = [LEGS[leg] for leg in lap]
     square = analyse(path(*lap * 4, start=(3.0, -2.0, 2.9)))
     assert square.side_lengths_m == pytest.approx([side[0]] * 4, abs=side[1])
     assert square.turns_deg == pytest.approx([turn[0]] * 4, abs=turn[1])
@@ -205,7 +192,13 @@ def test_a_path_that_stops_half_way_has_what_it_has():
     assert analyse(path(TURN, SIDE)).turns_deg == []
 
 
-@pytest.mark.parametrize("legs", [[], [REST], [TURN], [SIDE[:3], TURN[:2]], [SIDE[:1]], [CURVE]])
+@cases("legs: [[], [rest], [turn], [curve]]")
 def test_no_side_gives_empty_lists(legs):
-    square = analyse(path(*legs))
+    square = analyse(path(*map(LEGS.get, legs)))
+    assert (square.side_lengths_m, square.turns_deg) == ([], [])
+
+
+@cases("sides, turns: [[3, 2], [1, 0]]")
+def test_less_than_a_side_is_none(sides, turns):
+    square = analyse(path(SIDE[:sides], TURN[:turns]))
     assert (square.side_lengths_m, square.turns_deg) == ([], [])

@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros import grade
@@ -27,18 +27,17 @@ from bullet_lab.ros.grade import (
 HOSTILE = Path(__file__).parents[2] / "submissions" / "hostile"
 LARGEST_FILE = 100_000
 
-# Settings, and the line that refuses them.
-REFUSED = """
-- [{}, "^submission or class is needed, one of the two: the folder to grade$"]
-- [{submission: a, class_folder: a}, ^submission or class is needed]
-- [{submission: none}, none]
-- [{submission: file}, "^there are no submissions in 'file'$"]
-- [{class_folder: file}, "^there are no submissions in 'file'$"]
-- [{class_folder: hidden}, "^there are no submissions in 'hidden'$"]
-"""
 
-
-@pytest.mark.parametrize("given, line", yaml.safe_load(REFUSED))
+@cases("""
+given, line:
+  # Settings, and the line that refuses them.
+  - [{}, "^submission or class is needed, one of the two: the folder to grade$"]
+  - [{submission: a, class_folder: a}, ^submission or class is needed]
+  - [{submission: none}, none]
+  - [{submission: file}, "^there are no submissions in 'file'$"]
+  - [{class_folder: file}, "^there are no submissions in 'file'$"]
+  - [{class_folder: hidden}, "^there are no submissions in 'hidden'$"]
+""")
 def test_what_cannot_be_graded_is_named(tmp_path, given, line):
     (tmp_path / "file").touch()
     (tmp_path / "hidden" / ".git").mkdir(parents=True)
@@ -47,17 +46,15 @@ def test_what_cannot_be_graded_is_named(tmp_path, given, line):
         _run(tmp_path, settings, print)
 
 
-# Types and fields that have no number.
-FIELDS = """
-- [nav_msgs/Odometry, pose.x]
-- [nav_msgs/Odometry, pose]
-- [std_msgs/Flaot64, data]
-- [Float64, data]
-- [std_msgs/String, data]
-"""
-
-
-@pytest.mark.parametrize("kind, field", yaml.safe_load(FIELDS))
+@cases("""
+kind, field:
+  # Types and fields that have no number.
+  - [nav_msgs/Odometry, pose.x]
+  - [nav_msgs/Odometry, pose]
+  - [std_msgs/Flaot64, data]
+  - [Float64, data]
+  - [std_msgs/String, data]
+""")
 def test_a_field_that_is_no_number_is_named_before_anything_runs(tmp_path, kind, field):
     file = tmp_path / "e.yaml"
     limits = f"measure: topic_mean, topic: a, type: {kind}, field: {field}, at_most: 0"
@@ -143,14 +140,12 @@ def is_running(process):
         return False
 
 
-UNSTARTED = {
-    "not_executable": "^main.py is not executable; run chmod .x main.py$",
-    "nothing": "^it has no main.py, no main.sh and 0 launch files; one is needed$",
-    "two_launch_files": "^it has no main.py, no main.sh and 2 launch files; one is needed$",
-}
-
-
-@pytest.mark.parametrize("name, reason", UNSTARTED.items())
+@cases("""
+name, reason:
+  - [not_executable, ^main.py is not executable; run chmod .x main.py$]
+  - [nothing, "^it has no main.py, no main.sh and 0 launch files; one is needed$"]
+  - [two_launch_files, "^it has no main.py, no main.sh and 2 launch files; one is needed$"]
+""")
 def test_what_cannot_be_started_says_why(name, reason, tmp_path):
     with pytest.raises(SubmissionError, match=reason):
         started(HOSTILE / name, tmp_path)

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from alike import assert_as_before, lines_of
 from PIL import Image
-from shared import PACKAGE
+from shared import PACKAGE, cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import find_jobs
@@ -77,21 +76,19 @@ def test_invalid_json_is_refused(tmp_path):
         of(tmp_path, "a.json", "{")
 
 
-# Both runs and the reference, each with its hash and x; tolerance. Whether the runs are alike, what
-# the reference says, the difference, whether all is well.
-COMPARED = """
-    - [[a, 1.0], [a, 1.0], [a, 1.0], 0.0, [true, same, 0.0, true]]
-    - [[a, 1.0], [b, 1.0], [a, 1.0], 0.0, [false, same, 0.0, false]]
-    - [[a, 1.0], [a, 1.0], [b, 1.25], 0.3, [true, within, 0.2, true]]
-    - [[a, 1.0], [a, 1.0], [b, 1.25], 0.1, [true, differs, 0.2, false]]
-    - [[a, 1.0], [a, 1.0], [b, 1.0], 0.0, [true, differs, 0.0, false]]
-    - [[a, 1.0], [a, 1.0], null, 0.0, [true, none, null, true]]
-    - [[a, 1.0], null, [a, 1.0], 0.0, [false, same, 0.0, false]]
-    - [null, null, [a, 1.0], 0.0, [false, differs, null, false]]
-"""
-
-
-@pytest.mark.parametrize("first, second, reference, tolerance, row", yaml.safe_load(COMPARED))
+@cases("""
+first, second, reference, tolerance, row:
+  # Both runs and the reference, each with its hash and x; tolerance. Whether the runs are alike,
+  # what the reference says, the difference, whether all is well.
+  - [[a, 1.0], [a, 1.0], [a, 1.0], 0.0, [true, same, 0.0, true]]
+  - [[a, 1.0], [b, 1.0], [a, 1.0], 0.0, [false, same, 0.0, false]]
+  - [[a, 1.0], [a, 1.0], [b, 1.25], 0.3, [true, within, 0.2, true]]
+  - [[a, 1.0], [a, 1.0], [b, 1.25], 0.1, [true, differs, 0.2, false]]
+  - [[a, 1.0], [a, 1.0], [b, 1.0], 0.0, [true, differs, 0.0, false]]
+  - [[a, 1.0], [a, 1.0], null, 0.0, [true, none, null, true]]
+  - [[a, 1.0], null, [a, 1.0], 0.0, [false, same, 0.0, false]]
+  - [null, null, [a, 1.0], 0.0, [false, differs, null, false]]
+""")
 def test_a_result_is_compared(first, second, reference, tolerance, row, monkeypatch):
     def results(of_one):
         return {"x.csv": {"hash": of_one[0], "numbers": {"x": of_one[1]}}} if of_one else {}

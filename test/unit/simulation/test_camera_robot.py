@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 import sensor_worlds
 from contact_forces import pressures, strongest_place
+from shared import cases
 
 from bullet_lab.simulation.models import bounds
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -26,7 +27,7 @@ def model(package):
     return read_urdf_file(package / "urdf" / "camera_robot.urdf")
 
 
-@pytest.mark.parametrize("hidden", ["collisions", "visuals"])
+@cases("hidden: [collisions, visuals]")
 def test_size(world, model, hidden):
     links = tuple(replace(link, **{hidden: ()}) for link in model.links)
     low, (x, y, z) = bounds(world.add(replace(model, links=links)))

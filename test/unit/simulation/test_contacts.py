@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import EntityError
@@ -53,7 +54,7 @@ def sprung(height, **spring):
 SPRINGS = {"hard": {}, "stiff": {"stiffness": 1e7, "damping": 1.0}, "soft": {"stiffness": 5e3}}
 
 
-@pytest.mark.parametrize(("spring", "depth"), [("hard", 0.09), ("stiff", 0.001), ("soft", 0.09)])
+@cases("spring, depth: [[hard, 0.09], [stiff, 0.001], [soft, 0.09]]")
 def test_what_is_put_into_the_floor_comes_out_and_stays(world, spring, depth):
     """As launch files do that leave z at 0, and as often as they do."""
     model = sprung(-depth, **SPRINGS[spring])

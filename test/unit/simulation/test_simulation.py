@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from shared import BLOCK_ROBOT, EMPTY_WORLD, complains
+from shared import BLOCK_ROBOT, EMPTY_WORLD, cases, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.schedule import ScheduleError
@@ -112,15 +111,13 @@ def test_a_removed_robot_is_silent(world, robot):
     assert samples == []
 
 
-POSES = r"""
-- [[0, .inf, 0], [0, 0, 0, 1], its pose is not finite]
-- [[0, 0, 0], [0, 0, .nan, 1], its pose is not finite]
-- [[0, 0, 0], [0, 0, 0, 2], a quaternion of length 2; needs 1]
-- [[0, -1.0e+7, 0], [0, 0, 0, 1], its position exceeds 1e\+06 m]
-"""
-
-
-@pytest.mark.parametrize("position, quaternion, message", yaml.safe_load(POSES))
+@cases(r"""
+position, quaternion, message:
+  - [[0, .inf, 0], [0, 0, 0, 1], its pose is not finite]
+  - [[0, 0, 0], [0, 0, .nan, 1], its pose is not finite]
+  - [[0, 0, 0], [0, 0, 0, 2], a quaternion of length 2; needs 1]
+  - [[0, -1.0e+7, 0], [0, 0, 0, 1], its position exceeds 1e\+06 m]
+""")
 def test_impossible_poses_leave_the_simulation_unharmed(
     world, robot, position, quaternion, message
 ):
@@ -255,11 +252,14 @@ def faulty(fault):
     return replace(thing(pose=Pose((3.0, 0.0, 0.1))), plugins=(tag,))
 
 
-@pytest.mark.parametrize(
-    ("fault", "count"),
-    # What has raised before time goes on is due once more.
-    [("before_step", 100), ("prepare", 11), ("produce", 10), ("", 0)],
-)
+@cases("""
+fault, count:
+  # What has raised before time goes on is due once more.
+  - [before_step, 100]
+  - [prepare, 11]
+  - [produce, 10]
+  - ["", 0]
+""")
 def test_a_plugin_that_raises_is_reported_and_all_others_go_on(world, fault, count):
     world.add(faulty(fault))
     robot, failed, samples = world.spawn(BLOCK_ROBOT), [], []
@@ -313,7 +313,7 @@ def lose(simulation, instance, number=math.nan, seconds=0.5):
 PLACES = {"lost": (0.0, 0.0, 0.5), "on_top": (0.0, 0.0, 1.51), "far": (8.0, 0.0, 0.5)}
 
 
-@pytest.mark.parametrize(("number", "count"), [(math.nan, 3), (math.inf, 3), (math.nan, 1)])
+@cases("number, count: [[.nan, 3], [.inf, 3], [.nan, 1]]")
 def test_a_model_that_is_no_longer_finite_is_named_and_reset_and_harms_no_other(
     world, number, count
 ):

@@ -3,6 +3,7 @@ import itertools
 import cv2
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.video import HEIGHT, RATE, WIDTH, Video, VideoError, overview, pixels_of
@@ -29,7 +30,7 @@ def test_a_second_is_twenty_pictures_with_the_robot_and_its_path(world, robot, t
     assert (red > blue + 60).sum() > 50
 
 
-@pytest.mark.parametrize("high", [(1.0, 1.0, 1.0), (5.0, 1.0, 0.5), (1.0, 9.0, 3.0)])
+@cases("high: [[1.0, 1.0, 1.0], [5.0, 1.0, 0.5], [1.0, 9.0, 3.0]]")
 def test_a_view_holds_its_box_and_no_more(high):
     corners = np.array(list(itertools.product(*((0.0, most) for most in high))))
     pixels = pixels_of(corners, overview(corners[0], corners[-1]))

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.simulation.rendering import RendererError
 from bullet_lab.simulation.simulation import Simulation, View, take_picture
@@ -37,16 +37,14 @@ def test_three_white_columns_on_gazebos_grey_floor_under_a_grey_sky(beacons):
     assert abs(row - floor).max() <= 3
 
 
-BAD = """
-- {width: 0}
-- {horizontal_fov: 3.141592653589793}
-- {eye: [0.0, .nan, 1.0]}
-- {target: [0.0, -9.0, 0.0]}
-- {near: 2.0, far: 1.0}
-"""
-
-
-@pytest.mark.parametrize("changed", yaml.safe_load(BAD))
+@cases("""
+changed:
+  - {width: 0}
+  - {horizontal_fov: 3.141592653589793}
+  - {eye: [0.0, .nan, 1.0]}
+  - {target: [0.0, -9.0, 0.0]}
+  - {near: 2.0, far: 1.0}
+""")
 def test_bad_views_are_refused(beacons, changed):
     view = {"eye": BESIDE.eye, "target": BESIDE.target, "width": 32, "height": 24, **changed}
     with pytest.raises(RendererError):

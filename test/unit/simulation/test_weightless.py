@@ -1,6 +1,7 @@
 """Links that gravity does not pull."""
 
 import pytest
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import change_link, find_link
@@ -32,7 +33,7 @@ def dumbbell(first, second, joint="fixed"):
 OFF = "<gravity>0</gravity>"
 
 
-@pytest.mark.parametrize("joint", ["fixed", "prismatic"])
+@cases("joint: [fixed, prismatic]")
 def test_what_floats_stays_where_it_is(falling, joint):
     robot = falling.add(dumbbell(OFF, "<gravity>false</gravity>", joint), pose=Pose((0, 0, 5)))
     falling.run_for(SECONDS)

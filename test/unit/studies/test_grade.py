@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from shared import cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.studies.grade import (
@@ -50,79 +51,85 @@ def test_each_exercise_can_be_read_and_has_ten_points(path):
     assert find_exercise(path.stem, Path("/")) == path
 
 
-BAD = r"""
-- [{rtf: fast}, "rtf is 'fast': it must be a number > 0 and <= 100"]
-- [{runs: 0}, "runs is 0: it must be a whole number from 1 to 100"]
-- [{wurld: a}, "there is no key 'wurld'; allowed are title, world"]
-- [{world: "package://bullet_lab/none.world"}, "world is 'package://bullet_lab/none"]
-- [{robot: none.urdf}, "robot is 'none.urdf': "]
-- [{criteria: []}, 'criteria is \[\]: it must be a list of criteria']
-- [{criteria: [x]}, "criterion 1: measure is : it must be one of end_error"]
-"""
-
-
-@pytest.mark.parametrize(("change", "message"), yaml.safe_load(BAD))
+@cases(r"""
+change, message:
+  - [{rtf: fast}, "rtf is 'fast': it must be a number > 0 and <= 100"]
+  - [{runs: 0}, "runs is 0: it must be a whole number from 1 to 100"]
+  - [{wurld: a}, "there is no key 'wurld'; allowed are title, world"]
+  - [{world: "package://bullet_lab/none.world"}, "world is 'package://bullet_lab/none"]
+  - [{robot: none.urdf}, "robot is 'none.urdf': "]
+  - [{criteria: []}, 'criteria is \[\]: it must be a list of criteria']
+  - [{criteria: [x]}, "criterion 1: measure is : it must be one of end_error"]
+""")
 def test_a_bad_exercise_gives_a_line_with_key_value_and_what_is_allowed(tmp_path, change, message):
     check_refused(tmp_path, yaml.safe_dump({**GOOD, **change}), f"^e.yaml: {message}")
 
 
-BAD_CRITERIA = r"""
-- [{measure: speed}, "measure is speed: it must be one of end_error, path_error"]
-- [{measure: [rate]}, 'measure is \[''rate''\]: it must be one of']
-- [{measure: contacts}, at_least or at_most is missing]
-- - {measure: rate, at_least: 1, places: [[0, 0]]}
-  - there is no key 'places'; allowed are measure, name, points, .*, topic, type
-- - {measure: path_error, at_most: 1, places: [1, 0]}
-  - 'places is \[1, 0\]: it must be a list of places \[x, y\]'
-- - {measure: topic_std, at_most: 1, truth: z}
-  - "truth is 'z': it must be one of zero, x, y, distance"
-"""
-
-
-@pytest.mark.parametrize(("criterion", "message"), yaml.safe_load(BAD_CRITERIA))
+@cases(r"""
+criterion, message:
+  - [{measure: speed}, "measure is speed: it must be one of end_error, path_error"]
+  - [{measure: [rate]}, 'measure is \[''rate''\]: it must be one of']
+  - [{measure: contacts}, at_least or at_most is missing]
+  - - {measure: rate, at_least: 1, places: [[0, 0]]}
+    - there is no key 'places'; allowed are measure, name, points, .*, topic, type
+  - - {measure: path_error, at_most: 1, places: [1, 0]}
+    - 'places is \[1, 0\]: it must be a list of places \[x, y\]'
+  - - {measure: topic_std, at_most: 1, truth: z}
+    - "truth is 'z': it must be one of zero, x, y, distance"
+""")
 def test_a_bad_criterion_gives_a_line_with_its_number(tmp_path, criterion, message):
     text = yaml.safe_dump({"criteria": [*GOOD["criteria"], criterion]})
     check_refused(tmp_path, text, f"^e.yaml: criterion 2: {message}")
 
 
-@pytest.mark.parametrize("text", ["", "- 1", "a: [", "\x00", "5"])
+@cases(r"""
+text:
+  - ""
+  - "- 1"
+  - "a: ["
+  - "\u0000"
+  - "5"
+""")
 def test_what_is_no_exercise_gives_a_line(tmp_path, text):
     check_refused(tmp_path, text, "e.yaml")
 
 
-@pytest.mark.parametrize("name", ["squares", "", "none/of/them.yaml"])
+@cases("""
+name:
+  - squares
+  - ""
+  - none/of/them.yaml
+""")
 def test_an_unknown_exercise_names_those_that_are_known(tmp_path, name):
     with pytest.raises(LabError, match=f"^exercise is '{name}': .*goal, noise, square"):
         find_exercise(name, tmp_path)
 
 
-# The side of the square, what else was seen, the measure and its arguments, and the value.
-MEASURED = """
-- [0.9, {}, path_error, {places: [[1, 0], [1, 1], [0, 1]]}, 0.14142136]
-- [0.9, {}, end_error, {places: [[0.3, 0.4]]}, 0.5]
-- [1.0, {}, path_error, {places: [[1, 0], [1, 1], [0, 1]]}, 0.0]
-# The other way around: the path is at the second corner in time, but not at the third.
-- [1.0, {}, path_error, {places: [[0, 1], [1, 1], [1, 0]]}, 1.0]
-- [1.0, {boxes: {far: [9, 9, 10, 10], near: [1.3, 1.4, 2, 2]}}, clearance, {}, 0.5]
-- [1.0, {boxes: {over: [0.9, 0.9, 2, 2]}}, clearance, {}, 0.0]
-- [1.0, {}, clearance, {}, null]
-- [1.0, {touched: [wall, crate]}, contacts, {}, 2]
-- [1.0, {}, contacts, {}, 0]
-- [1.0, {status: 3}, exit_status, {}, 3]
-- [1.0, {}, exit_status, {}, null]
-- [1.0, {messages: {"a ": [[0.0, 0], [0.1, 0], [0.15, 0], [0.4, 0]]}}, rate, {}, 7.5]
-- [1.0, {messages: {"a ": [[1, 0]]}}, rate, {}, null]
-- [1.0, {messages: {"a ": [[1, 0], [1, 0]]}}, rate, {}, null]
-# A few messages are not enough.
-- - 1.0
-  - messages: {a data: [[0, 0], [1, 0], [2, 0], [3, 0], [4, 0], [5, 0], [6, 0], [7, 0], [8, 0]]}
-  - topic_mean
-  - {}
-  - null
-"""
-
-
-@pytest.mark.parametrize("side, seen, measure, arguments, expected", yaml.safe_load(MEASURED))
+@cases("""
+side, seen, measure, arguments, expected:
+  # The side of the square, what else was seen, the measure and its arguments, and the value.
+  - [0.9, {}, path_error, {places: [[1, 0], [1, 1], [0, 1]]}, 0.14142136]
+  - [0.9, {}, end_error, {places: [[0.3, 0.4]]}, 0.5]
+  - [1.0, {}, path_error, {places: [[1, 0], [1, 1], [0, 1]]}, 0.0]
+  # The other way around: the path is at the second corner in time, but not at the third.
+  - [1.0, {}, path_error, {places: [[0, 1], [1, 1], [1, 0]]}, 1.0]
+  - [1.0, {boxes: {far: [9, 9, 10, 10], near: [1.3, 1.4, 2, 2]}}, clearance, {}, 0.5]
+  - [1.0, {boxes: {over: [0.9, 0.9, 2, 2]}}, clearance, {}, 0.0]
+  - [1.0, {}, clearance, {}, null]
+  - [1.0, {touched: [wall, crate]}, contacts, {}, 2]
+  - [1.0, {}, contacts, {}, 0]
+  - [1.0, {status: 3}, exit_status, {}, 3]
+  - [1.0, {}, exit_status, {}, null]
+  - [1.0, {messages: {"a ": [[0.0, 0], [0.1, 0], [0.15, 0], [0.4, 0]]}}, rate, {}, 7.5]
+  - [1.0, {messages: {"a ": [[1, 0]]}}, rate, {}, null]
+  - [1.0, {messages: {"a ": [[1, 0], [1, 0]]}}, rate, {}, null]
+  # A few messages are not enough.
+  - - 1.0
+    - messages: {a data: [[0, 0], [1, 0], [2, 0], [3, 0], [4, 0], [5, 0], [6, 0], [7, 0], [8, 0]]}
+    - topic_mean
+    - {}
+    - null
+""")
 def test_what_is_measured_of_a_square(side, seen, measure, arguments, expected):
     found = Criterion(measure=measure, topic="a", **arguments).value(
         Record(path=square(side), **seen)
@@ -130,7 +137,7 @@ def test_what_is_measured_of_a_square(side, seen, measure, arguments, expected):
     assert found == (expected if expected is None else pytest.approx(expected))
 
 
-@pytest.mark.parametrize("measure", ["contacts", "clearance", "end_error", "path_error"])
+@cases("measure: [contacts, clearance, end_error, path_error]")
 def test_who_does_not_move_has_no_value(measure):
     standing = Record(path=[[t, 0.001 * t, 0] for t in range(5)], boxes={"a": [1, 1, 2, 2]})
     criterion = Criterion(measure=measure, at_most=9)
@@ -143,17 +150,21 @@ def test_an_empty_record_has_no_value(measure):
     assert Criterion(measure=measure).value(Record()) is None
 
 
-@pytest.mark.parametrize(
-    ("content", "error"),
-    [("2.5", 0), ("least: 2.75 m", 0.25), ("1 2 -.5e0\n", 3), ("none", None), ("1e999", None)],
-)
+@cases(r"""
+content, error:
+  - ["2.5", 0]
+  - ["least: 2.75 m", 0.25]
+  - ["1 2 -.5e0\n", 3]
+  - [none, null]
+  - [1e999, null]
+""")
 def test_the_last_number_of_a_file_counts(content, error):
     record = Record(path=square(), files={"a.txt": content})
     for file, expected in (("a.txt", error), ("b.txt", None)):
         assert Criterion(measure="file_error", file=file, number=2.5).value(record) == expected
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@cases("sign: [1, -1]")
 def test_errors_of_a_topic(sign):
     rng = np.random.default_rng(1)
     path = square()

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-import yaml
 from map_values import value_at
 from scipy.ndimage import binary_dilation
+from shared import cases
 from study_runs import run_main, summary_of
 
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, read_map
@@ -52,7 +52,7 @@ def middles(found):
     return [low + (i + 0.5) * found.resolution for low, i in zip(found.origin, (columns, rows))]
 
 
-@pytest.mark.parametrize(("resolution", "turn"), [(0.05, 0.0), (0.1, 0.4), (0.03, 0.4)])
+@cases("resolution, turn: [[0.05, 0.0], [0.1, 0.4], [0.03, 0.4]]")
 def test_a_room_is_mapped_within_a_cell(mapped, resolution, turn):
     turned = f'<model name="room"><static>1</static><pose>0 0 0 0 0 {turn}</pose>{ROOM}</model>'
     found = mapped(turned + COLUMN, resolution=resolution)
@@ -78,9 +78,7 @@ TABLE = model("top", "0.5 0 0.72 0 0 0", box(0.8, 0.8, 0.01)) + model(
 )
 
 
-@pytest.mark.parametrize(
-    "low, high, occupied", [(0.1, 0.1, 0.0), (0.1, 0.5, 0.0), (0.1, 0.8, 0.64)]
-)
+@cases("low, high, occupied: [[0.1, 0.1, 0.0], [0.1, 0.5, 0.0], [0.1, 0.8, 0.64]]")
 def test_a_table_is_its_leg_or_its_top_by_height(mapped, low, high, occupied):
     found = mapped(ROOM + TABLE, low=low, high=high, x=-1.0)
     x, y = middles(found)
@@ -113,14 +111,12 @@ def test_a_mesh_is_mapped_as_its_triangles(mapped, tmp_path):
     assert value_at(found, 0.0, 0.0) == FREE and value_at(found, 0.0, -1.2) == FREE
 
 
-REFUSED = """
-- [{x: 2.05}, "the start (2.05, 0) m is occupied"]
-- [{low: 0.6}, "high is 0.5: it must not be below low, 0.6"]
-- [{resolution: 0.005, x: 100.0, y: 100.0}, at most 4000000]
-"""
-
-
-@pytest.mark.parametrize("settings, line", yaml.safe_load(REFUSED))
+@cases("""
+settings, line:
+  - [{x: 2.05}, "the start (2.05, 0) m is occupied"]
+  - [{low: 0.6}, "high is 0.5: it must not be below low, 0.6"]
+  - [{resolution: 0.005, x: 100.0, y: 100.0}, at most 4000000]
+""")
 def test_what_cannot_be_mapped_is_refused(mapped, settings, line):
     with pytest.raises(MapError) as error:
         mapped(ROOM, **settings)

@@ -4,8 +4,8 @@ import sys
 
 import numpy as np
 import pytest
-import yaml
 from recorded_bags import write_bag
+from shared import cases
 
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
@@ -83,23 +83,21 @@ def test_a_bag_without_rosbag(tmp_path, monkeypatch):
         read_path(tmp_path / "a.bag")
 
 
-BAD = r"""
-- [one.tum, "0 0 0 0 0 0 0 1\n", only one pose]
-- [still.tum, "0 0 0 0 0 0 0 1\n1 9e-4 0 0 0 0 0 1\n", shorter than 0.001 m]
-- [far.tum, "0 2e7 0 0 0 0 0 1\n1 2e7 1 0 0 0 0 1\n", longer than 1e\+07 m]
-- [long.tum, "0 9e6 0 0 0 0 0 1\n1 -9e6 0 0 0 0 0 1\n", longer than 1e\+07 m]
-- [nan.csv, "stamp,x,y,yaw\n0,0,0,0\n1,1,nan,0\n", "line 3: a value is not finite"]
-- [word.csv, "stamp,x,y,yaw\n0,0,0,0\n1,1,a,0\n", "line 3: a value is not a number"]
-- [short.csv, "stamp,x,y,yaw\n0,0,0,0\n1,1\n", "line 3: a value is not a number"]
-- [twice.csv, "stamp,x,y,yaw\n0,0,0,0\n0,1,0,0\n", only one pose]
-- [back.csv, "stamp,v,omega\n0,0,0\n-1,1,0\n", "line 3: stamps must increase"]
-- [head.csv, "t,x,y\n0,0,0\n", "has to name the columns stamp, x, y, yaw"]
-- [bytes.csv, "\udcff", is not a table]
-- [nix.csv, null, "cannot read .*nix.csv: No such file"]
-"""
-
-
-@pytest.mark.parametrize(("name", "content", "said"), yaml.safe_load(BAD))
+@cases(r"""
+name, content, said:
+  - [one.tum, "0 0 0 0 0 0 0 1\n", only one pose]
+  - [still.tum, "0 0 0 0 0 0 0 1\n1 9e-4 0 0 0 0 0 1\n", shorter than 0.001 m]
+  - [far.tum, "0 2e7 0 0 0 0 0 1\n1 2e7 1 0 0 0 0 1\n", longer than 1e\+07 m]
+  - [long.tum, "0 9e6 0 0 0 0 0 1\n1 -9e6 0 0 0 0 0 1\n", longer than 1e\+07 m]
+  - [nan.csv, "stamp,x,y,yaw\n0,0,0,0\n1,1,nan,0\n", "line 3: a value is not finite"]
+  - [word.csv, "stamp,x,y,yaw\n0,0,0,0\n1,1,a,0\n", "line 3: a value is not a number"]
+  - [short.csv, "stamp,x,y,yaw\n0,0,0,0\n1,1\n", "line 3: a value is not a number"]
+  - [twice.csv, "stamp,x,y,yaw\n0,0,0,0\n0,1,0,0\n", only one pose]
+  - [back.csv, "stamp,v,omega\n0,0,0\n-1,1,0\n", "line 3: stamps must increase"]
+  - [head.csv, "t,x,y\n0,0,0\n", "has to name the columns stamp, x, y, yaw"]
+  - [bytes.csv, "\udcff", is not a table]
+  - [nix.csv, null, "cannot read .*nix.csv: No such file"]
+""")
 def test_a_bad_file(tmp_path, name, content, said):
     if content is not None:
         (tmp_path / name).write_text(content, errors="surrogateescape")

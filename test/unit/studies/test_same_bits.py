@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-import pytest
+from shared import cases
 
 from bullet_lab.studies.squares import SquaresSettings, run_squares
 
@@ -18,9 +18,7 @@ def nudged(function):
     return lambda *numbers, **options: np.nextafter(function(*numbers, **options), np.inf) * 1.0
 
 
-@pytest.mark.parametrize(
-    "settings", [{"std": 0.1}, {"std": 0.1, "as_published": True}, {"model": "probabilistic"}]
-)
+@cases("settings: [{std: 0.1}, {std: 0.1, as_published: true}, {model: probabilistic}]")
 def test_squares_are_the_same_to_the_byte(settings, tmp_path, monkeypatch):
     run_squares(tmp_path / "here", SquaresSettings(**settings))
     for module, names in ROUNDED_DIFFERENTLY.items():

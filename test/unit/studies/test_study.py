@@ -3,6 +3,7 @@
 import importlib
 import os
 import runpy
+import shlex
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Tuple
 
 import pytest
-import yaml
+from shared import cases
 from study_runs import names_in, run_main
 
 from bullet_lab.core.files import FileError
@@ -33,39 +34,6 @@ STUDIES = (
     *("calibrate", "detection_range", "dock_campaign"),
     *("noise_study", "published_noise", "umbmark"),
 )
-# What a study refuses besides what all of them do.
-REFUSED = """
-- [calibrate, --models nix, "--models is 'nix': it must be different words of"]
-- [calibrate, --truth a.tum, "truth and odometry are one recording: both files are needed"]
-- [calibrate, --data nix, "nix: there is no such file or folder"]
-- [calibrate, --max-gap 1, "--max-gap is '1': it must be a number > 1"]
-- [detection_range, --worlds moon, it must be different words of marker_panel]
-- [detection_range, --lights dark dark, "--lights is 'dark dark'"]
-- [detection_range, --distances 0, it must be different numbers >= 0.1 and <= 50]
-- [detection_range, --bearings 90, it must be different numbers >= 0 and <= 85]
-- [detection_range, --frames 0, it must be a whole number from 1 to 100000]
-- [detection_range, --dots -1, it must be a whole number from 0 to 100000]
-- [detection_range, --workers -1, "--workers is '-1'"]
-- - detection_range
-  - --worlds docking --lights default --distances 1 --bearings 30
-  - no cell of the grid has room for the camera
-- [dock_campaign, --dockings 0, it must be a whole number from 1 to 1000000]
-- [dock_campaign, --worlds kitchen, "--worlds is 'kitchen'"]
-- [dock_campaign, --lights candle, "--lights is 'candle'"]
-- [dock_campaign, --odometry gps, "--odometry is 'gps'"]
-- [noise_study, --levels -0.1, it must be different numbers >= 0 and <= 10]
-- [noise_study, --rates 0, "--rates is '0': it must be different numbers > 0"]
-- [noise_study, --models magic, it must be different words of report]
-- [noise_study, --paths 1, it must be a whole number from 2 to 10000000]
-- [noise_study, --delta 0, "--delta is '0': it must be a number > 0"]
-- [noise_study, --delta 50, no two poses are 50 m apart]
-- [noise_study, --laps 0, "--laps is '0'"]
-- [noise_study, --path nix.tum, "cannot read nix.tum: No such file"]
-- [published_noise, --std -0.1, "--std is '-0.1': it must be a number >= 0 and <= 1"]
-- [published_noise, --seeds 3, it must be a whole number from 20 to 20000]
-- [published_noise, --reading -1, "--reading is '-1'"]
-- [umbmark, --robots -1, "--robots is '-1': it must be a whole number from 0"]
-"""
 ENDING = """
 import os, signal
 from bullet_lab.errors import LabError
@@ -141,23 +109,20 @@ def test_the_second_signal_does_not_interrupt_what_the_first_one_has_begun(first
         os.kill(os.getpid(), number)
 
 
-@pytest.mark.parametrize(
-    ("words", "noise", "place"),
-    [
-        (
-            ["--levels", "0", "0.5", "--all-of-it", "--world", "moon", "--paths", "7"],
-            Noise((0.0, 0.5), 7, True),
-            Place("moon"),
-        ),
-        (["__name:=a", "__log:=/a b.log"], Noise(), Place()),
-        # Without values, as from launch files.
-        (["--levels", "--paths", "", "--world", ""], Noise(), Place()),
-    ],
-)
+@cases("""
+words, noise, place:
+  - - --levels 0 0.5 --all-of-it --world moon --paths 7
+    - {levels: [0.0, 0.5], paths: 7, all_of_it: true}
+    - {world: moon}
+  - ["'__name:=a' '__log:=/a b.log'", {}, {}]
+  # Without values, as from launch files.
+  - [--levels --paths '' --world '', {}, {}]
+""")
 def test_settings_make_the_command_line(words, noise, place):
-    status, (folder, *found, _), printed = ended(["out", *words])
+    status, (folder, *found, _), printed = ended(["out", *shlex.split(words)])
     assert (status, printed) == (0, ["a_study: so far\n", ""])
-    assert (folder, *found) == (Path("out"), noise, place)
+    noise = {name: tuple(v) if name == "levels" else v for name, v in noise.items()}
+    assert (folder, *found) == (Path("out"), Noise(**noise), Place(**place))
 
 
 def test_settings_are_checked_in_python_as_well():
@@ -171,15 +136,13 @@ def test_help_names_every_setting():
     assert all(word in said for word in ("Studies.", "--levels", "--all-of-it", "of noise", "0.1"))
 
 
-BAD = """
-- [[], "the following arguments are required: out"]
-- [[out, --paths, "0"], "--paths is '0': it must be a whole number from 1"]
-- [[out, --nix], "unrecognized arguments: --nix"]
-- [[/proc/nowhere], cannot make the folder]
-"""
-
-
-@pytest.mark.parametrize(("words", "said"), yaml.safe_load(BAD))
+@cases("""
+words, said:
+  - [[], "the following arguments are required: out"]
+  - [[out, --paths, "0"], "--paths is '0': it must be a whole number from 1"]
+  - [[out, --nix], "unrecognized arguments: --nix"]
+  - [[/proc/nowhere], cannot make the folder]
+""")
 def test_bad_words(words, said):
     status, _, printed = ended(words)
     assert status == 2
@@ -215,7 +178,40 @@ def test_each_study_is_a_program(name, monkeypatch, capsys):
     assert_one_line(name, said, capsys.readouterr())
 
 
-@pytest.mark.parametrize(("name", "words", "said"), yaml.safe_load(REFUSED))
+@cases("""
+name, words, said:
+  # What a study refuses besides what all of them do.
+  - [calibrate, --models nix, "--models is 'nix': it must be different words of"]
+  - [calibrate, --truth a.tum, "truth and odometry are one recording: both files are needed"]
+  - [calibrate, --data nix, "nix: there is no such file or folder"]
+  - [calibrate, --max-gap 1, "--max-gap is '1': it must be a number > 1"]
+  - [detection_range, --worlds moon, it must be different words of marker_panel]
+  - [detection_range, --lights dark dark, "--lights is 'dark dark'"]
+  - [detection_range, --distances 0, it must be different numbers >= 0.1 and <= 50]
+  - [detection_range, --bearings 90, it must be different numbers >= 0 and <= 85]
+  - [detection_range, --frames 0, it must be a whole number from 1 to 100000]
+  - [detection_range, --dots -1, it must be a whole number from 0 to 100000]
+  - [detection_range, --workers -1, "--workers is '-1'"]
+  - - detection_range
+    - --worlds docking --lights default --distances 1 --bearings 30
+    - no cell of the grid has room for the camera
+  - [dock_campaign, --dockings 0, it must be a whole number from 1 to 1000000]
+  - [dock_campaign, --worlds kitchen, "--worlds is 'kitchen'"]
+  - [dock_campaign, --lights candle, "--lights is 'candle'"]
+  - [dock_campaign, --odometry gps, "--odometry is 'gps'"]
+  - [noise_study, --levels -0.1, it must be different numbers >= 0 and <= 10]
+  - [noise_study, --rates 0, "--rates is '0': it must be different numbers > 0"]
+  - [noise_study, --models magic, it must be different words of report]
+  - [noise_study, --paths 1, it must be a whole number from 2 to 10000000]
+  - [noise_study, --delta 0, "--delta is '0': it must be a number > 0"]
+  - [noise_study, --delta 50, no two poses are 50 m apart]
+  - [noise_study, --laps 0, "--laps is '0'"]
+  - [noise_study, --path nix.tum, "cannot read nix.tum: No such file"]
+  - [published_noise, --std -0.1, "--std is '-0.1': it must be a number >= 0 and <= 1"]
+  - [published_noise, --seeds 3, it must be a whole number from 20 to 20000]
+  - [published_noise, --reading -1, "--reading is '-1'"]
+  - [umbmark, --robots -1, "--robots is '-1': it must be a whole number from 0"]
+""")
 def test_bad_words_end_a_study_with_one_line_and_nothing_written(name, words, said):
     study = importlib.import_module(f"bullet_lab.studies.{name}.study")
     status, *printed = run_main(study.main, "out", *words.split())
@@ -224,7 +220,7 @@ def test_bad_words_end_a_study_with_one_line_and_nothing_written(name, words, sa
     assert not list(Path().glob("out/*"))
 
 
-@pytest.mark.parametrize(("total", "before"), [(30, 0), (7, 3)])
+@cases("total, before: [[30, 0], [7, 3]]")
 def test_without_a_terminal_some_lines_tell_of_the_progress(total, before):
     lines = []
     work = range(before, total)

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.vision import dictionaries
 from bullet_lab.vision.dictionaries import DICTIONARY_NAMES, dictionary_named
@@ -14,18 +15,29 @@ def test_every_dictionary_of_opencv_is_there_once():
     assert sorted(numbers) == sorted(getattr(cv2.aruco, n) for n in DICTIONARY_NAMES)
 
 
-@pytest.mark.parametrize("name", ["apriltag_36h10", "DICT_APRILTAG_36h10", " DICT_APRILTAG_36H10"])
+@cases("""
+name:
+  - apriltag_36h10
+  - DICT_APRILTAG_36h10
+  - " DICT_APRILTAG_36H10"
+""")
 def test_names_of_opencv_and_of_the_course(name):
     assert dictionary_named(name).name == "DICT_APRILTAG_36h10"
 
 
-@pytest.mark.parametrize("name", ["", "apriltag", "DICT_", "4x4"])
+@cases("""
+name:
+  - ""
+  - apriltag
+  - DICT_
+  - 4x4
+""")
 def test_a_name_that_there_is_not_is_refused_with_those_there_are(name):
     with pytest.raises(VisionError, match="DICT_4X4_50"):
         dictionary_named(name)
 
 
-@pytest.mark.parametrize("name", ["apriltag_36h10", "4x4_50", "5x5_1000", "7x7_100"])
+@cases("name: [apriltag_36h10, 4x4_50, 5x5_1000, 7x7_100]")
 def test_patterns_are_those_that_opencv_draws(name):
     dictionary = dictionary_named(name)
     source = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary.name))
@@ -47,7 +59,7 @@ def test_distances_are_those_in_the_names_of_the_tags():
         assert (dictionary.distance, dictionary.max_correction) == (distance, (distance - 1) // 2)
 
 
-@pytest.mark.parametrize("turns", range(4))
+@cases("turns: [0, 1, 2, 3]")
 def test_the_nearest_marker_however_turned_and_with_wrong_bits(turns):
     dictionary = dictionary_named("apriltag_36h10")
     pattern = dictionary.pattern(1234)[1:-1, 1:-1]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from marker_images import CAMERA, View, image_of, marker, true_corners
 from scipy.spatial.distance import pdist
+from shared import cases
 
 from bullet_lab.vision import drawing
 from bullet_lab.vision.features import good_features, harris_corners
@@ -77,10 +78,13 @@ def test_drawings_are_as_before():
     assert np.array_equal(drawn(), before)
 
 
-@pytest.mark.parametrize(
-    "encoding, channels, level",
-    [("bgr8", 3, 29), ("rgb8", 3, 76), ("bgra8", 4, 29), ("rgba8", 4, 76)],
-)
+@cases("""
+encoding, channels, level:
+  - [bgr8, 3, 29]
+  - [rgb8, 3, 76]
+  - [bgra8, 4, 29]
+  - [rgba8, 4, 76]
+""")
 def test_grey_levels_of_colours(encoding, channels, level):
     pixels = np.zeros((20, 20, channels), np.uint8)
     pixels[:, :, 0] = 255

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from marker_images import BENT, CAMERA, View, angle_between, normalised_square
 from scipy import stats
+from shared import cases
 
 from bullet_lab.vision.marker_bundles import observe_bundles, read_bundles
 from bullet_lab.vision.marker_detector import DetectedMarker
@@ -114,20 +115,18 @@ def test_a_marker_that_is_seen_twice_and_one_of_nobody_do_not_count():
     assert not list(observe_bundles([bundle], [stranger], CAMERA))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"name": ""},
-        {"layout": []},
-        {"layout": [{"id": 1}]},
-        {"layout": [{"id": 1, "size": 0.0}]},
-        {"layout": [{"id": 1, "size": 0.1, "x": math.nan}]},
-        {"layout": [{"id": 1, "size": 0.1, "qw": 0.0}]},
-        {"layout": [{"id": 1, "size": 0.1}, {"id": 1, "size": 0.1}]},
-        {"layout": 7},
-        {"layout": ["marker"]},
-    ],
-)
+@cases("""
+change:
+  - {name: ""}
+  - {layout: []}
+  - {layout: [{id: 1}]}
+  - {layout: [{id: 1, size: 0.0}]}
+  - {layout: [{id: 1, size: 0.1, x: .nan}]}
+  - {layout: [{id: 1, size: 0.1, qw: 0.0}]}
+  - {layout: [{id: 1, size: 0.1}, {id: 1, size: 0.1}]}
+  - {layout: 7}
+  - {layout: [marker]}
+""")
 def test_what_is_no_bundle(change):
     with pytest.raises((ValueError, TypeError, KeyError, AttributeError)):
         bundle_of({**BOARD, **change})

@@ -14,6 +14,7 @@ from marker_images import (
     off_by,
     true_corners,
 )
+from shared import cases
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.vision import marker_detector
@@ -60,10 +61,13 @@ def nested(outer, inner):
 # Accuracy
 
 
-@pytest.mark.parametrize(
-    "distance, yaw, roll",
-    [(0.5, 50.0, 0.0), (1.0, 0.0, 85.0), (1.0, 10.0, -95.0), (4.0, 25.0, 180.0)],
-)
+@cases("""
+distance, yaw, roll:
+  - [0.5, 50.0, 0.0]
+  - [1.0, 0.0, 85.0]
+  - [1.0, 10.0, -95.0]
+  - [4.0, 25.0, 180.0]
+""")
 def test_corners_are_exact_and_unbiased_and_begin_at_the_top_left(distance, yaw, roll):
     errors = []
     for number in range(3):
@@ -95,33 +99,11 @@ def test_markers_of_every_dictionary(name):
     assert ids_in(picture(View(1.0, yaw=15.0), marker(7, tags=name)), tags=name) == [7]
 
 
-@pytest.mark.parametrize("yaw, farthest", [(0.0, 6.0), (30.0, 5.5), (60.0, 3.5)])
+@cases("yaw, farthest: [[0.0, 6.0], [30.0, 5.5], [60.0, 3.5]]")
 def test_range_without_gaps(yaw, farthest):
     for distance in np.linspace(0.45, farthest, 8):
         view = View(distance, yaw=yaw, pitch=1.0, roll=2.0)
         assert ids_in(picture(view, noise=2.0)) == [0], distance
-
-
-SEVERAL = picture(
-    View(1.5),
-    marker(5, centre=(-0.3, 0.0)),
-    marker(5, size=0.25, centre=(-0.3, 0.3)),
-    marker(9, size=0.3, centre=(0.2, 0.0)),
-)
-NEGATIVE = picture(View(1.5, yaw=10.0), marker(3, black=220.0, white=20.0))
-
-
-@pytest.mark.parametrize(
-    "image, settings, found",
-    [
-        (SEVERAL, {}, [9, 5, 5]),  # largest first
-        (SEVERAL, {"ids": (9, 8)}, [9]),
-        (NEGATIVE, {}, []),
-        (NEGATIVE, {"inverted": True}, [3]),
-    ],
-)
-def test_only_what_was_asked_for_is_found(image, settings, found):
-    assert ids_in(image, **settings) == found
 
 
 def test_of_two_outlines_of_one_marker_the_likelier_stays():
@@ -150,7 +132,7 @@ def test_nothing_is_found_in_cells_without_contrast():
         assert not len(quads_in_cells(grey, 299.0 * UNIT_SQUARE, pattern, 8.0, np.empty((0, 4, 2))))
 
 
-@pytest.mark.parametrize("distance, corner", [(0.4, 0), (0.6, 1), (0.6, 3), (1.5, 2)])
+@cases("distance, corner: [[0.4, 0], [0.6, 1], [0.6, 3], [1.5, 2]]")
 def test_a_marker_with_something_dark_before_a_corner(distance, corner):
     """It is a part of the outline; from near by that was as many px off as it was large."""
     view = View(distance, yaw=2.0, pitch=1.0)
@@ -170,11 +152,14 @@ def test_a_marker_at_the_edge_of_the_image_is_dropped():
         assert detections.report.cropped == cropped
 
 
-@pytest.mark.parametrize(
-    "wrong, settings, found",
-    # 36h10 could correct four.
-    [(2, {}, [2]), (3, {}, []), (4, {"correction": 1.0}, [4]), (1, {"correction": 0.0}, [])],
-)
+@cases("""
+wrong, settings, found:
+  # 36h10 could correct four.
+  - [2, {}, [2]]
+  - [3, {}, []]
+  - [4, {correction: 1.0}, [4]]
+  - [1, {correction: 0.0}, []]
+""")
 def test_bits_are_corrected_as_far_as_asked(wrong, settings, found):
     layer = marker(2)
     for place in [(2, 2), (3, 5), (6, 4), (5, 7)][:wrong]:
@@ -195,24 +180,6 @@ def test_misread_cells_of_the_border_are_counted(monkeypatch):
 
 
 # Light
-
-
-@pytest.mark.parametrize(
-    "black, white, background, noise",
-    [
-        (4.0, 18.0, 8.0, 0.5),
-        (205.0, 255.0, 250.0, 1.0),
-        (8.0, 35.0, 250.0, 0.5),
-        (20.0, 220.0, 120.0, 12.0),
-        (90.0, 115.0, 100.0, 2.0),
-    ],
-    ids=["dark", "bright", "back-lit", "noisy", "faint"],
-)
-def test_light(black, white, background, noise):
-    for distance in (0.6, 2.5):
-        view, layer = View(distance, yaw=10.0, pitch=3.0), marker(black=black, white=white)
-        (found,) = found_in(picture(view, layer, background=background, noise=noise))
-        assert off_by(found, view) < 0.5
 
 
 def test_the_second_pass_is_made_only_where_nothing_was_found():
@@ -257,7 +224,7 @@ def test_a_square_among_more_dots_than_16_bits_can_number():
     assert np.abs(ends - (709.5, 609.5, 739.5, 639.5)).sum(axis=1).min() < 0.1
 
 
-@pytest.mark.parametrize("weak, found", [(20, False), (80, True)])
+@cases("weak, found: [[20, false], [80, true]]")
 def test_much_texture_hides_weak_edges_in_the_first_pass_only(weak, found):
     grey = np.full((200, 200), 120, np.uint8)
     grey[:, 100:] = np.where(np.indices((200, 100)).sum(axis=0) // 4 % 2, 200, 40)
@@ -270,7 +237,7 @@ def test_much_texture_hides_weak_edges_in_the_first_pass_only(weak, found):
     assert (first, second) == (found, True)
 
 
-@pytest.mark.parametrize("edge", [16, 48])
+@cases("edge: [16, 48]")
 def test_a_dark_square_in_a_small_image(edge):
     image = np.full((edge, edge + 1), 220, np.uint8)
     image[2:-2, 2:-2] = 20
@@ -309,18 +276,21 @@ def test_images_that_are_none():
             detect(np.zeros(shape, kind))
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    # The other limits are declared, as those of all parameters.
-    [{"tags": "x"}, {"refine": "all"}, {"ids": (2320,)}, {"ids": (-1,)}, {"min_side": 2.0}],
-    ids=str,
-)
+@cases("""
+wrong:
+  # The other limits are declared, as those of all parameters.
+  - {tags: x}
+  - {refine: all}
+  - {ids: [2320]}
+  - {ids: [-1]}
+  - {min_side: 2.0}
+""")
 def test_settings_that_are_not_allowed(wrong):
     with pytest.raises(ParameterError):
         DetectorSettings(**wrong)
 
 
-@pytest.mark.parametrize("sigma", [0.0, 4.0])
+@cases("sigma: [0.0, 4.0]")
 def test_noise_is_measured(sigma):
     image = picture(View(1.0), noise=sigma)
     assert noise_level(image) == pytest.approx(sigma, rel=0.1, abs=0.05)

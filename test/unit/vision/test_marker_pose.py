@@ -17,8 +17,9 @@ from marker_images import (
     true_corners,
 )
 from scipy.stats import chi2
+from shared import cases
 
-from bullet_lab.vision.images import UNIT_SQUARE, VisionError
+from bullet_lab.vision.images import VisionError
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_pose import MarkerObserver, ObservedMarker, PoseMemory, estimate_pose
 
@@ -69,9 +70,7 @@ def test_the_two_poses_are_mirrored_about_the_line_of_sight():
     assert not estimate.ambiguous
 
 
-@pytest.mark.parametrize(
-    "distance, sigma, ambiguous", [(1.0, 0.1, False), (6.0, 0.1, True), (6.0, 0.05, False)]
-)
+@cases("distance, sigma, ambiguous: [[1.0, 0.1, false], [6.0, 0.1, true], [6.0, 0.05, false]]")
 def test_ambiguity_is_seen_where_noise_would_hide_the_difference(distance, sigma, ambiguous):
     assert estimated(View(distance, yaw=20.0), sigma).ambiguous == ambiguous
 
@@ -94,17 +93,14 @@ def squared_error(view, sigma, chance):
     return normalised_square(error, pose.covariance), error, pose.covariance
 
 
-@pytest.mark.parametrize(
-    "view, sigma, count",
-    # The last two may be between their two poses.
-    [
-        (View(0.6), 0.05, 300),
-        (VIEWS[3], 0.1, 300),
-        (View(7.0), 0.05, 60),
-        (View(2.0), 0.07, 60),
-    ],
-    ids=range(4),
-)
+@cases("""
+view, sigma, count:
+  - [[0.6], 0.05, 300]
+  - [[1.5, -40.0, 10.0, 30.0, [0.4, -0.2]], 0.1, 300]
+  # These may be between their two poses.
+  - [[7.0], 0.05, 60]
+  - [[2.0], 0.07, 60]
+""")
 def test_covariance_is_that_of_many_noisy_corners(view, sigma, count):
     """Normalised squares of the errors are within their 99 % bounds, in the mean.
 
@@ -113,7 +109,7 @@ def test_covariance_is_that_of_many_noisy_corners(view, sigma, count):
     """
     chance, white, total = np.random.default_rng(6), [], 0.0
     for _ in range(count):
-        square, error, covariance = squared_error(view, sigma, chance)
+        square, error, covariance = squared_error(View(*view), sigma, chance)
         total += square
         white.append(np.linalg.solve(np.linalg.cholesky(covariance), error))
     low, high = chi2.ppf((0.005, 0.995), 6 * count)
@@ -123,10 +119,14 @@ def test_covariance_is_that_of_many_noisy_corners(view, sigma, count):
     )
 
 
-@pytest.mark.parametrize(
-    "distance, tilt, sigma",
-    [(7.0, 0.0, 0.05), (7.0, 0.0, 0.3), (10.0, 16.0, 0.3), (10.0, 0.0, 1.0), (2.0, 8.0, 0.3)],
-)
+@cases("""
+distance, tilt, sigma:
+  - [7.0, 0.0, 0.05]
+  - [7.0, 0.0, 0.3]
+  - [10.0, 16.0, 0.3]
+  - [10.0, 0.0, 1.0]
+  - [2.0, 8.0, 0.3]
+""")
 def test_covariance_is_large_enough_at_each_tilt(distance, tilt, sigma):
     """The mean of 700 normalised squares is at most 15 % below 6, and within its upper 99 % bound.
 
@@ -138,22 +138,19 @@ def test_covariance_is_large_enough_at_each_tilt(distance, tilt, sigma):
     assert 0.85 * 6 * count < total < chi2.ppf(0.995, 6 * count)
 
 
-@pytest.mark.parametrize(
-    "corners, size, sigma",
-    [
-        (np.zeros((3, 2)), 0.2, 0.1),
-        (np.full((4, 2), np.nan), 0.2, 0.1),
-        (true_corners(View(1.0)), 0.0, 0.1),
-        (true_corners(View(1.0)), np.inf, 0.1),
-        (true_corners(View(1.0)), 0.2, 0.0),
-        # A square of 0.99 px.
-        (300.0 + 0.99 * UNIT_SQUARE, 0.2, 0.1),
-    ],
-    ids=["three", "nan", "no size", "size", "sigma", "point"],
-)
+@cases("""
+corners, size, sigma:
+  # Three; one that is not finite; what has no size or noise; and a square of 0.99 px.
+  - [[[270, 190], [370, 190], [370, 290]], 0.2, 0.1]
+  - [[[270, 190], [370, 190], [370, 290], [270, .nan]], 0.2, 0.1]
+  - [[[270, 190], [370, 190], [370, 290], [270, 290]], 0.0, 0.1]
+  - [[[270, 190], [370, 190], [370, 290], [270, 290]], .inf, 0.1]
+  - [[[270, 190], [370, 190], [370, 290], [270, 290]], 0.2, 0.0]
+  - [[[300, 300], [300.99, 300], [300.99, 300.99], [300, 300.99]], 0.2, 0.1]
+""")
 def test_what_makes_no_pose_is_refused(corners, size, sigma):
     with pytest.raises(VisionError, match="four finite|must be above 0|span less"):
-        estimate_pose(corners, size, CAMERA, sigma)
+        estimate_pose(np.array(corners), size, CAMERA, sigma)
 
 
 # Detector and pose together

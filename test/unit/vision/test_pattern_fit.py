@@ -18,6 +18,7 @@ from marker_images import (
     true_corners,
 )
 from scipy.stats import chi2
+from shared import cases
 
 from bullet_lab.vision.dictionaries import dictionary_named
 from bullet_lab.vision.images import Picture
@@ -47,9 +48,7 @@ def square_of(found, true):
     return normalised_square((found.corners - true).ravel(), found.covariance)
 
 
-@pytest.mark.parametrize(
-    "spread", [(0.3, 0.3, 0.0, 0.0), (1.5, 0.4, 0.3, 0.5), (2.5, 1.0, 1.5, -0.3)]
-)
+@cases("spread: [[0.3, 0.3, 0.0, 0.0], [1.5, 0.4, 0.3, 0.5], [2.5, 1.0, 1.5, -0.3]]")
 def test_derivatives_are_those_of_the_model(spread):
     """But for second orders, and for how wide a pixel is in cells."""
     corners, spread, step = true_corners(VIEW), np.array(spread), 1e-2
@@ -74,7 +73,7 @@ def test_derivatives_are_those_of_the_model(spread):
         np.testing.assert_allclose(found, true, atol=most * np.abs(true).max())
 
 
-@pytest.mark.parametrize("gamma, distance", [(1.0, 2.5), (1.8, 1.0), (2.2, 1.0), (2.2, 4.0)])
+@cases("gamma, distance: [[1.0, 2.5], [1.8, 1.0], [2.2, 1.0], [2.2, 4.0]]")
 def test_a_camera_with_a_gamma_sees_corners_where_they_are(gamma, distance):
     squares, errors = [], []
     for seed in range(6):
@@ -88,7 +87,7 @@ def test_a_camera_with_a_gamma_sees_corners_where_they_are(gamma, distance):
     assert np.mean(squares) < 2.0
 
 
-@pytest.mark.parametrize("distance", [1.0, 2.0, 3.0])
+@cases("distance: [1.0, 2.0, 3.0]")
 def test_corners_are_less_certain_where_a_camera_leaves_out_rows(distance):
     squares = []
     for seed in range(8):
@@ -133,7 +132,7 @@ def test_neither_motion_nor_a_filter_moves_a_corner(view, blur, kernel, most):
     assert off_by(fit(cv2.filter2D(image, -1, kernel), view), view) < most
 
 
-@pytest.mark.parametrize("distance, blur", [(6.0, 0.6), (0.8, 0.8)])
+@cases("distance, blur: [[6.0, 0.6], [0.8, 0.8]]")
 def test_the_covariance_is_that_of_the_noise(distance, blur):
     """Sum of the normalised squares of the corners' errors, within its 99 % bounds."""
     view, count = View(distance, yaw=25.0, pitch=4.0, roll=10.0), 30
@@ -149,7 +148,7 @@ def test_a_blur_that_is_no_gaussian_makes_no_large_marker_less_certain():
     assert np.trace(fit(picture(blur=0.5)).covariance) < 8 * 0.0105**2
 
 
-@pytest.mark.parametrize("distance", [2.0, 0.8])
+@cases("distance: [2.0, 0.8]")
 def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
     """Noise puts half of the cut-off pixels below 255, where they count as white."""
     view = View(distance, yaw=3.0, pitch=2.0)
@@ -159,10 +158,12 @@ def test_noise_that_is_added_to_over_exposed_white_moves_no_corner(distance):
     assert found.hidden < 0.2
 
 
-@pytest.mark.parametrize(
-    "distance, sun, blur, shade",
-    [(0.7, 420.0, 0.6, 0.25), (1.2, 230.0, 0.8, -0.25), (2.4, 420.0, 0.6, 0.0)],
-)
+@cases("""
+distance, sun, blur, shade:
+  - [0.7, 420.0, 0.6, 0.25]
+  - [1.2, 230.0, 0.8, -0.25]
+  - [2.4, 420.0, 0.6, 0.0]
+""")
 def test_a_shadow_across_a_marker_moves_no_corner(distance, sun, blur, shade):
     """Pixels in the sun were taken for something else: corners there were 1 px off."""
     view = View(distance, yaw=6.0, pitch=4.0)

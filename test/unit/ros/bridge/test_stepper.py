@@ -1,12 +1,11 @@
 import contextlib
 import itertools
-import math
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.bridge import stepper as stepper_module
@@ -156,7 +155,7 @@ def test_time_goes_on_however_fast_others_ask(running):
     wait_for(lambda: asked[-1] > asked[0] + 1000)
 
 
-@pytest.mark.parametrize("rtf", [0.0, 50.0])
+@cases("rtf: [0.0, 50.0]")
 def test_grant_returns_exactly_there_and_what_steps_have_brought_is_out(running, rtf):
     # Always ahead, but for less than what is a stall.
     run = running(rtf=rtf, expected=["/a"], clock=itertools.count(0.0, 0.01).__next__)
@@ -199,7 +198,7 @@ def test_reset_and_end_release_who_waits(running, end):
     assert run.is_over() or run.stepper.do(lambda: run.step) == 0
 
 
-@pytest.mark.parametrize("world_only", [False, True])
+@cases("world_only: [false, true]")
 def test_a_grant_from_before_a_reset_is_never_given(running, world_only):
     run = running(expected=["/a"])
     busy = run.stepper.grant("/a", 100, run.stepper.join("/a").epoch)
@@ -323,17 +322,15 @@ class SlowWorld(Run):
         self.simulation.close()
 
 
-# Options with the cost of a step (wall s), the number of lags, and who holds time back.
-SPEEDS = """
-- [{cost: 2.0e-3}, 3, []]
-- [{cost: 9.0e-4}, 0, []]
-- [{cost: 2.0e-3, rtf: 0.0}, 0, []]
-- [{cost: 1.0e-4, paused: true}, 0, []]
-- [{cost: 1.0e-4, expected: [/b, /a]}, 0, [/a, /b]]
-"""
-
-
-@pytest.mark.parametrize("options, lags, holding", yaml.safe_load(SPEEDS))
+@cases("""
+options, lags, holding:
+  # Options with the cost of a step (wall s), the number of lags, and who holds time back.
+  - [{cost: 2.0e-3}, 3, []]
+  - [{cost: 9.0e-4}, 0, []]
+  - [{cost: 2.0e-3, rtf: 0.0}, 0, []]
+  - [{cost: 1.0e-4, paused: true}, 0, []]
+  - [{cost: 1.0e-4, expected: [/b, /a]}, 0, [/a, /b]]
+""")
 def test_a_speed_that_is_not_reached_is_reported_now_and_then(monkeypatch, options, lags, holding):
     world = SlowWorld(monkeypatch, **options)
     world.run(21.0)
@@ -353,7 +350,7 @@ def test_a_pause_does_not_count_afterwards(monkeypatch):
     assert world.lags == []
 
 
-@pytest.mark.parametrize("factor", [0.005, 0.5, 3.0])
+@cases("factor: [0.005, 0.5, 3.0]")
 def test_simulated_time_follows_the_wall_clock(clock, factor):
     pace, begin = Pace(factor, clock), clock.now
     assert not pace.free
@@ -364,20 +361,25 @@ def test_simulated_time_follows_the_wall_clock(clock, factor):
         assert step == pytest.approx((clock.now - begin) * 1000 * factor, abs=1.0)
 
 
-def test_as_fast_as_it_goes(clock):
-    pace = Pace(0.0, clock)
-    assert pace.free
-    assert pace.due(12) == math.inf
-    assert pace.seconds_until(12) == 0.0
-
-
-def test_how_long_to_wait(clock):
-    pace = Pace(2.0, clock)
-    assert pace.seconds_until(100) == pytest.approx(0.05)
-    clock.now += 0.04
-    assert pace.seconds_until(100) == pytest.approx(0.01)
-    clock.now += 1.0
-    assert pace.seconds_until(100) == 0.0
+@cases("""
+factor, story:
+  # Wall seconds that pass, the step that time is at, the one that is due then, and how long to
+  # wait for the next (s).
+  # As fast as it goes.
+  - [0.0, [[0.0, 12, .inf, 0.0]]]
+  - [2.0, [[0.0, 100, 0, 0.05], [0.04025, 100, 80, 0.00975], [1.0, 100, 101, 0.0]]]
+  # A stall is not chased.
+  - [1.0, [[5.0, 0, 1, 0.0], [0.0105, 1, 10, 0.0]]]
+  # A small delay is made up for.
+  - [1.0, [[0.0995, 0, 99, 0.0]]]
+""")
+def test_what_is_due_and_how_long_to_wait(clock, factor, story):
+    pace = Pace(factor, clock)
+    assert pace.free == (factor == 0.0)
+    for seconds, step, due, wait in story:
+        clock.now += seconds
+        assert pace.seconds_until(step) == pytest.approx(wait)
+        assert pace.due(step) == due
 
 
 def test_a_restart_forgets_a_pause(clock):
@@ -389,43 +391,27 @@ def test_a_restart_forgets_a_pause(clock):
     assert pace.due(500) == 520
 
 
-def test_a_stall_is_not_chased(clock):
-    pace = Pace(1.0, clock)
-    clock.now += 5.0
-    assert pace.due(0) == 1
-    clock.now += 0.0105
-    assert pace.due(1) == 10
-
-
-def test_a_small_delay_is_made_up_for(clock):
-    pace = Pace(1.0, clock)
-    clock.now += 0.0995
-    assert pace.due(0) == 99
-
-
-# Wall seconds that pass, the step that is reached then, the wanted factor, and what is said.
-SPEED_STORIES = """
-# Time that keeps its speed.
-- [[5.0, 5000, 1.0, ""], [5.0, 10000, 1.0, ""], [5.0, 14600, 1.0, ""], [5.0, 19000, 1.0, falls]]
-# Time that falls behind, which is counted anew then.
-- - [4.9, 0, 1.0, ""]
-  - - 0.1
-    - 2500
-    - 1.0
-    - "simulated time falls behind: real-time factor 0.50 instead of 1 in the last 5 s"
-  - [5.0, 7500, 1.0, ""]
-  - [6.0, 16500, 2.0, 1.50 instead of 2 in the last 6 s]
-# As fast as it goes is never too slow.
-- [[5.0, 1, 0.0, ""]]
-"""
-
-
 @pytest.fixture
 def watch(clock):
     return SpeedWatch(clock)
 
 
-@pytest.mark.parametrize("story", yaml.safe_load(SPEED_STORIES))
+@cases("""
+story:
+  # Wall seconds that pass, the step that is reached then, the wanted factor, and what is said.
+  # Time that keeps its speed.
+  - [[5.0, 5000, 1.0, ""], [5.0, 10000, 1.0, ""], [5.0, 14600, 1.0, ""], [5.0, 19000, 1.0, falls]]
+  # Time that falls behind, which is counted anew then.
+  - - [4.9, 0, 1.0, ""]
+    - - 0.1
+      - 2500
+      - 1.0
+      - "simulated time falls behind: real-time factor 0.50 instead of 1 in the last 5 s"
+    - [5.0, 7500, 1.0, ""]
+    - [6.0, 16500, 2.0, 1.50 instead of 2 in the last 6 s]
+  # As fast as it goes is never too slow.
+  - [[5.0, 1, 0.0, ""]]
+""")
 def test_what_is_said_of_the_speed(clock, watch, story):
     for seconds, step, wanted, said in story:
         clock.now += seconds
@@ -447,36 +433,34 @@ def test_a_machine_that_stays_too_slow_is_told_of_less_and_less_often(clock, wat
         assert bool(watch.lag(step, 1.0)) == slow
 
 
-# Whom the gate waits for, and what happens then: each time the step up to which time may go on,
-# and who holds it back.
-GATE_STORIES = """
-- - []
-  - [leave nobody, .inf, []]
-- - [b, a]
-  - [grant b 100, -.inf, [a]]
-  - [grant a 50, 50, [a]]
-- - [a]
-  - [grant a 50, 50, [a]]
-  - [grant b 20, 20, [b]]
-  - [grant c 20, 20, [b, c]]
-  - [grant b 70, 20, [c]]
-  - [grant c 80, 50, [a]]
-- - [a, b]
-  - [grant a 50, -.inf, [b]]
-  - [leave b, 50, [a]]
-  - [grant a inf, .inf, []]
-  - [leave a, .inf, []]
-# A restart takes grants back, but not those for ever.
-- - [late]
-  - [grant a 500, -.inf, [late]]
-  - [grant b inf, -.inf, [late]]
-  - [restart, -.inf, [late]]
-  - [grant late 100, 0, [a]]
-  - [leave a, 100, [late]]
-"""
-
-
-@pytest.mark.parametrize("story", yaml.safe_load(GATE_STORIES))
+@cases("""
+story:
+  # Whom the gate waits for, and what happens then: each time the step up to which time may go on,
+  # and who holds it back.
+  - - []
+    - [leave nobody, .inf, []]
+  - - [b, a]
+    - [grant b 100, -.inf, [a]]
+    - [grant a 50, 50, [a]]
+  - - [a]
+    - [grant a 50, 50, [a]]
+    - [grant b 20, 20, [b]]
+    - [grant c 20, 20, [b, c]]
+    - [grant b 70, 20, [c]]
+    - [grant c 80, 50, [a]]
+  - - [a, b]
+    - [grant a 50, -.inf, [b]]
+    - [leave b, 50, [a]]
+    - [grant a inf, .inf, []]
+    - [leave a, .inf, []]
+  # A restart takes grants back, but not those for ever.
+  - - [late]
+    - [grant a 500, -.inf, [late]]
+    - [grant b inf, -.inf, [late]]
+    - [restart, -.inf, [late]]
+    - [grant late 100, 0, [a]]
+    - [leave a, 100, [late]]
+""")
 def test_time_goes_on_as_far_as_each_member_has_granted(story):
     expected, *events = story
     gate = TimeGate(expected)

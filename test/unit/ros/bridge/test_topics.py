@@ -4,6 +4,7 @@ from types import SimpleNamespace
 import pytest
 import rospy
 from geometry_msgs.msg import Twist
+from shared import cases
 
 from bullet_lab.ros.bridge import topics
 from bullet_lab.ros.bridge.topics import Arrival, CommandCounter, DeviceTopics, Route
@@ -123,27 +124,23 @@ class Sender:
         assert not self.waiting.late
 
 
-AWAITED = "join, sent 2, come, late, sent 4, come, late, sent 6, come, late"
-
-
-@pytest.mark.parametrize(
-    "arrival, story",
-    [
-        (STRAIGHT, AWAITED),
-        (RELAYED, AWAITED),
-        (STRAIGHT, "join, sent 1, others, lacks"),
-        # Lost commands are given up once.
-        (STRAIGHT, "join, sent 2, lacks, all, sent 3, come, all"),
-        # A member that was started again counts anew.
-        (STRAIGHT, "join, sent 5, come 5, all, restarts, join, sent 1, lacks, sent 2, come 2, all"),
-        # What a relay has passed on before does not count.
-        (RELAYED, "sent 7, come 3, join, sent 8, lacks"),
-        # The two late ones, of which the bridge knows nothing, are not taken for the next.
-        (RELAYED, "join, sent 1, come, all, come 2, sent 2, come, all, sent 3, late"),
-    ],
-)
-def test_what_was_sent_is_awaited(arrival, story):
-    Sender(arrival).does(story)
+@cases("""
+relayed, story:
+  - [false, "join, sent 2, come, late, sent 4, come, late, sent 6, come, late"]
+  - [true, "join, sent 2, come, late, sent 4, come, late, sent 6, come, late"]
+  - [false, "join, sent 1, others, lacks"]
+  # Lost commands are given up once.
+  - [false, "join, sent 2, lacks, all, sent 3, come, all"]
+  # A member that was started again counts anew.
+  - - false
+    - join, sent 5, come 5, all, restarts, join, sent 1, lacks, sent 2, come 2, all
+  # What a relay has passed on before does not count.
+  - [true, "sent 7, come 3, join, sent 8, lacks"]
+  # The two late ones, of which the bridge knows nothing, are not taken for the next.
+  - [true, "join, sent 1, come, all, come 2, sent 2, come, all, sent 3, late"]
+""")
+def test_what_was_sent_is_awaited(relayed, story):
+    Sender(RELAYED if relayed else STRAIGHT).does(story)
 
 
 def test_what_does_not_lead_to_the_bridge_is_not_awaited():

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.forces import Effort, ForceError, Period, Wrench
@@ -70,17 +70,15 @@ def rate(model):
     return model.state().joints["j"][1]
 
 
-# Start and duration (s) of what is asked for at step 100, and its steps.
-PERIODS = """
-- [0.0, 0.05, 100, 150]
-- [0.2001, 0.05, 201, 251]
-- [0.0, -1.0, 100, .inf]
-- [0.0, 0.0, 100, 100]
-- [0.0, 1.0e-5, 100, 101]
-"""
-
-
-@pytest.mark.parametrize("start, duration, first, end", yaml.safe_load(PERIODS))
+@cases("""
+start, duration, first, end:
+  # Start and duration (s) of what is asked for at step 100, and its steps.
+  - [0.0, 0.05, 100, 150]
+  - [0.2001, 0.05, 201, 251]
+  - [0.0, -1.0, 100, .inf]
+  - [0.0, 0.0, 100, 100]
+  - [0.0, 1.0e-5, 100, 101]
+""")
 def test_periods_are_whole_steps(start, duration, first, end):
     assert Period.after(100, start, duration) == Period(first, end)
 
@@ -102,26 +100,24 @@ def test_forces_add_up_and_are_cleared_together(space, ball):
     assert speed(ball) == pytest.approx(1.5, abs=1e-6)
 
 
-# What acts for a step on a ball at (1, 2, 3) with a yaw (degrees) and a centre of mass, and its
-# velocities in mm/s and mrad/s. The frame is a place and a yaw; without one, it is the world's.
-WRENCHES = """
-- [{force: [1, 0, 0], point: [0, 0.5, 0]}, {}, [0.5, 0, 0], [0, 0, -1]]
-- [{force: [4, 0, 0]}, {centre: [0, 0.3, 0]}, [2, 0, 0], [0, 0, 0]]
-# The ball's centre is 3 m above the frame's origin.
-- [{frame: [1, 2, 0, 90], force: [2, 0, 0], torque: [0, 0.5, 0], point: [0, 0, 3]}, {},
-   [0, 1, 0], [-1, 0, 0]]
-# Gazebo 11.1: 1 N along x of `b` or of `b::link`, which is at a yaw of 90 degrees, is along the
-# world's x. gazebo_ros_api_plugin.cpp:2007 turns the force into the axes of the body; those
-# numbers act in the world's.
-- [{frame: [1, 2, 3, 90], force: [2, 0, 0]}, {yaw: 90}, [1, 0, 0], [0, 0, 0]]
-- [{frame: [1, 2, 3, 90], torque: [0.5, 0, 0]}, {yaw: 90}, [0, 0, 0], [1, 0, 0]]
-- [{force: [2, 0, 0]}, {yaw: 90}, [1, 0, 0], [0, 0, 0]]
-- [{frame: [1, 2, 3, 0], force: [2, 0, 0]}, {yaw: 90}, [0, -1, 0], [0, 0, 0]]
-- [{frame: [1.5, 2, 3, 0], force: [0, 2, 0]}, {yaw: 90}, [1, 0, 0], [0, 0, 2]]
-"""
-
-
-@pytest.mark.parametrize("wrench, body, linear, angular", yaml.safe_load(WRENCHES))
+@cases("""
+wrench, body, linear, angular:
+  # What acts for a step on a ball at (1, 2, 3) with a yaw (degrees) and a centre of mass, and its
+  # velocities in mm/s and mrad/s. The frame is a place and a yaw; without one, it is the world's.
+  - [{force: [1, 0, 0], point: [0, 0.5, 0]}, {}, [0.5, 0, 0], [0, 0, -1]]
+  - [{force: [4, 0, 0]}, {centre: [0, 0.3, 0]}, [2, 0, 0], [0, 0, 0]]
+  # The ball's centre is 3 m above the frame's origin.
+  - [{frame: [1, 2, 0, 90], force: [2, 0, 0], torque: [0, 0.5, 0], point: [0, 0, 3]}, {},
+     [0, 1, 0], [-1, 0, 0]]
+  # Gazebo 11.1: 1 N along x of `b` or of `b::link`, which is at a yaw of 90 degrees, is along the
+  # world's x. gazebo_ros_api_plugin.cpp:2007 turns the force into the axes of the body; those
+  # numbers act in the world's.
+  - [{frame: [1, 2, 3, 90], force: [2, 0, 0]}, {yaw: 90}, [1, 0, 0], [0, 0, 0]]
+  - [{frame: [1, 2, 3, 90], torque: [0.5, 0, 0]}, {yaw: 90}, [0, 0, 0], [1, 0, 0]]
+  - [{force: [2, 0, 0]}, {yaw: 90}, [1, 0, 0], [0, 0, 0]]
+  - [{frame: [1, 2, 3, 0], force: [2, 0, 0]}, {yaw: 90}, [0, -1, 0], [0, 0, 0]]
+  - [{frame: [1.5, 2, 3, 0], force: [0, 2, 0]}, {yaw: 90}, [1, 0, 0], [0, 0, 2]]
+""")
 def test_a_wrench_is_given_at_a_point_of_a_frame(space, wrench, body, linear, angular):
     ball = add_ball(space, **body)
     push(space, period=Period(0, 1), **wrench)
@@ -167,7 +163,7 @@ def test_forces_go_with_their_model_and_with_time(space, ball, hinge):
     assert not space.forces.active
 
 
-@pytest.mark.parametrize("force", [math.nan, -1e10])
+@cases("force: [.nan, -10000000000.0]")
 def test_absurd_forces_are_refused(space, ball, hinge, force):
     with pytest.raises(ForceError, match="not within"):
         push(space, force)

@@ -3,11 +3,12 @@
 import pytest
 import rospy
 from geometry_msgs.msg import Pose
+from shared import cases
 
 gazebo_interface = pytest.importorskip("gazebo_ros.gazebo_interface")
 
 
-@pytest.mark.parametrize("is_shutdown", [True, False])
+@cases("is_shutdown: [true, false]")
 def test_a_node_that_ends_while_it_waits_has_no_traceback(monkeypatch, logged, is_shutdown):
 
     def wait(_service):

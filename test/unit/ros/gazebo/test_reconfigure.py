@@ -1,10 +1,10 @@
 """Settings as dynamic_reconfigure's generator would describe them."""
 
-import math
 from types import SimpleNamespace
 from unittest import mock
 
 import pytest
+from shared import cases
 
 pytest.importorskip("dynamic_reconfigure.encoding")
 
@@ -58,7 +58,7 @@ def test_what_is_changed_is_asked_for_and_the_start_is_not(settings):
     change.assert_called_once_with({"rate": 9.0})
 
 
-@pytest.mark.parametrize("rate", [math.nan, math.inf, 0.0])
+@cases("rate: [.nan, .inf, 0.0]")
 def test_what_is_refused_changes_nothing(settings, rate):
     def change(values):
         if not values["rate"] > 0.0:
@@ -79,19 +79,17 @@ USUAL = {
 }
 
 
-@pytest.mark.parametrize(
-    "name, value, wrong",
-    [
-        ("D", [math.nan], "not finite"),
-        ("P", [math.inf] * 12, "not finite"),
-        ("D", [0.0] * 100_000, "at most 14"),
-        ("distortion_model", "x" * 10_000, "characters"),
-    ],
-)
-def test_a_calibration_has_numbers_and_a_usual_size(name, value, wrong):
+@cases("""
+name, value, times, wrong:
+  - [D, [.nan], 1, not finite]
+  - [P, [.inf], 12, not finite]
+  - [D, [0.0], 100000, at most 14]
+  - [distortion_model, x, 10000, characters]
+""")
+def test_a_calibration_has_numbers_and_a_usual_size(name, value, times, wrong):
     check_calibration(USUAL)
     with pytest.raises(InputError, match=wrong):
-        check_calibration({**USUAL, name: value})
+        check_calibration({**USUAL, name: times * value})
 
 
 def test_without_the_package_nothing_is_offered(monkeypatch):

@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-import pytest
+from shared import cases
 
 from bullet_lab.ros.launcher.command import STATUS_FAILED, make_package_known
 
@@ -26,7 +26,11 @@ def test_ctrl_c_while_python_ends_changes_no_status():
     assert subprocess.run([sys.executable, "-c", ENDING], timeout=60).returncode == STATUS_FAILED
 
 
-@pytest.mark.parametrize("known", ["", "/somewhere"])
+@cases("""
+known:
+  - ""
+  - /somewhere
+""")
 def test_the_folder_of_an_unknown_package_is_added_to_the_path(known, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_PACKAGE_PATH", known)
     (tmp_path / "checkout/launch").mkdir(parents=True)

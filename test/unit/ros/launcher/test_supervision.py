@@ -6,35 +6,34 @@ from types import SimpleNamespace
 from unittest import mock
 
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher import supervision
 from bullet_lab.ros.launcher.supervision import Verdict, judge, others_than_writers
-
-# Nodes that ended with their statuses, whether there is a summary, the signal that came, and the
-# exit status of the run with its reason. The bridge and the plot are required.
-VERDICTS = """
-- [{drive: 0, plot: 0}, true, null, 0, ""]
-- [{plot: 0}, false, null, 1, plot ended before there was a summary]
-# The first failure gives the status.
-- [{drive: 1, bridge: 5, plot: 0}, true, null, 1, drive ended with status 1]
-- [{drive: 77, bridge: 5, plot: 0}, true, null, 77, drive ended with status 77]
-# After the end of the job, it does not count.
-- [{plot: 0, drive: 1}, true, null, 0, ""]
-- [{bridge: -11}, true, null, 139, bridge was killed by signal 11]
-- [{}, true, SIGINT, 130, stopped by SIGINT]
-- [{}, true, SIGTERM, 143, stopped by SIGTERM]
-# It counts more than the signal that followed.
-- [{drive: 3}, true, SIGINT, 3, drive ended with status 3]
-"""
 
 
 def judged(deaths, has_summary=True, stopped_by=None):
     return judge(deaths, 3, {"bridge", "plot"}, has_summary, stopped_by)
 
 
-@pytest.mark.parametrize("deaths, summary, signal_name, status, reason", yaml.safe_load(VERDICTS))
+@cases("""
+deaths, summary, signal_name, status, reason:
+  # Nodes that ended with their statuses, whether there is a summary, the signal that came, and the
+  # exit status of the run with its reason. The bridge and the plot are required.
+  - [{drive: 0, plot: 0}, true, null, 0, ""]
+  - [{plot: 0}, false, null, 1, plot ended before there was a summary]
+  # The first failure gives the status.
+  - [{drive: 1, bridge: 5, plot: 0}, true, null, 1, drive ended with status 1]
+  - [{drive: 77, bridge: 5, plot: 0}, true, null, 77, drive ended with status 77]
+  # After the end of the job, it does not count.
+  - [{plot: 0, drive: 1}, true, null, 0, ""]
+  - [{bridge: -11}, true, null, 139, bridge was killed by signal 11]
+  - [{}, true, SIGINT, 130, stopped by SIGINT]
+  - [{}, true, SIGTERM, 143, stopped by SIGTERM]
+  # It counts more than the signal that followed.
+  - [{drive: 3}, true, SIGINT, 3, drive ended with status 3]
+""")
 def test_how_a_run_ends(deaths, summary, signal_name, status, reason):
     stopped_by = signal_name and signal.Signals[signal_name]
     assert judged(deaths, summary, stopped_by) == Verdict(status, reason)
@@ -66,7 +65,7 @@ def test_all_nodes_ended_without_a_required_one():
     assert verdict.status == 1
 
 
-@pytest.mark.parametrize("user, joins", [(0, True), (1, False)])
+@cases("user, joins: [[0, true], [1, false]]")
 @pytest.mark.parametrize("uri", [supervision.STOCK_URI, supervision.STOCK_URI + "/"])
 def test_the_stock_master_of_another_user_is_not_joined(monkeypatch, user, joins, uri):
     running, own, mine = mock.Mock(), mock.Mock(uri="http://127.0.0.1:1/"), os.getuid()

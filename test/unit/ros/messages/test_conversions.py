@@ -1,5 +1,6 @@
 """Samples, commands and shapes as messages, at the other end of a topic."""
 
+import functools
 import math
 from pathlib import Path
 
@@ -7,10 +8,12 @@ import cv2
 import genpy
 import numpy as np
 import pytest
+import yaml
 from alike import assert_as_before
 from geometry_msgs.msg import Twist, Vector3
 from message_fields import check, message, message_of, plain
 from nav_msgs.msg import Odometry
+from shared import cases
 from std_msgs.msg import Bool, Empty, Float64, Float64MultiArray
 
 from bullet_lab.core.pinhole import PinholeCamera
@@ -27,36 +30,20 @@ from bullet_lab.ros.messages.conversions import (
 from bullet_lab.ros.messages.gazebo_types import kobuki_msg
 from bullet_lab.ros.messages.poses import InputError, first_step_at, pose_message, time_of
 from bullet_lab.ros.node.odometry import FrameGuard, OdometryError, planar_pose
+from bullet_lab.simulation.plugins import samples
 from bullet_lab.simulation.plugins.ray_sensors import RING_POINT
 from bullet_lab.simulation.plugins.samples import (
-    BlockSample,
-    BumperEvent,
-    CameraInfoSample,
-    CliffEvent,
     ContactsSample,
-    FixSample,
     ImageSample,
-    ImuSample,
     JointCommand,
     JointCommands,
-    JointSample,
-    LaserSample,
-    LoopSample,
-    MotionSample,
     MotorPower,
-    OdometrySample,
     PlanarCommand,
     PointsSample,
-    RangeSample,
     RingsSample,
     ShapeContact,
     Stop,
-    SwitchesSample,
-    TransformSample,
     Trigger,
-    VectorSample,
-    VelocitySample,
-    WheelDropEvent,
 )
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world.description import Box, Material, Mesh, Plane, Texture, Visual
@@ -69,7 +56,7 @@ def test_steps_are_milliseconds(step):
     assert first_step_at(time_of(step)) == step
 
 
-@pytest.mark.parametrize("time, step", [((1, 1), 1001), ((0, 999_999_999), 1000)])
+@cases("time, step: [[[1, 1], 1001], [[0, 999999999], 1000]]")
 def test_time_between_two_steps_is_the_later_one(time, step):
     assert first_step_at(genpy.Time(*time)) == step
 
@@ -79,48 +66,30 @@ def test_quaternions_have_a_w_that_is_not_negative():
     assert plain(turned) == [0.6, 0.0, 0.0, 0.8]
 
 
-POSE = Pose((1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))
-FIRST, SECOND = (1.0, 2.0, 3.0), (4.0, 5.0, 6.0)
-VELOCITY = PlanarCommand(0.1, 0.2, 0.3)
-RANGES = np.array([1.5, math.inf, -math.inf])
-CAMERA = PinholeCamera(64, 48, 50.0, 51.0, 31.5, 23.5, (0.1, 0.2, 0.3, 0.4, 0.5))
 # Its rows are not in one piece.
 PICTURE = np.arange(36, dtype=np.uint8).reshape(2, 6, 3)[:, ::2]
 POINTS = np.arange(18, dtype=np.float32).reshape(2, 3, 3)
-CONTACT = ShapeContact(
-    1,
-    "a::b::c",
-    "d::e::f",
-    ((1.0, 0.0, 2.0), (3.0, 0.0, 4.0)),
-    ((0.0, 1.0, 0.0), (0.0, 2.0, 0.5)),
-    ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)),
-    ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
-    (1e-3, 2e-3),
-)
+
+
+class SampleLoader(yaml.SafeLoader):
+    """Samples and what they hold have tags with the names of their classes."""
+
+
+@functools.partial(SampleLoader.add_multi_constructor, "!")
+def _made(loader, kind, node):
+    kinds = {**vars(samples), "Pose": Pose, "PinholeCamera": PinholeCamera}
+    parts = loader.construct_sequence(node, deep=True)
+    return np.array(parts) if kind == "array" else kinds[kind](*parts)
+
+
+@functools.partial(SampleLoader.add_constructor, "tag:yaml.org,2002:seq")
+def _tuple(loader, node):
+    return tuple(loader.construct_sequence(node, deep=True))
+
+
 SAMPLES = [
-    OdometrySample(1050, "odom", "base", POSE, VELOCITY, FIRST + SECOND, SECOND + FIRST),
-    MotionSample(5, "world", "base", POSE, FIRST, SECOND, 0.25),
-    JointSample(7, ("a", "b"), (1.0, 2.0), (3.0, 4.0), (5.0, 6.0)),
-    LaserSample(2001, "laser", -1.0, 1.5, 1.25, 0.2, 8.0, RANGES, np.zeros(3)),
-    RangeSample(50, "sonar", True, 0.5, 0.25, 4.0, 1.5),
-    RangeSample(50, "sonar", False, 0.5, 0.25, 4.0, 1.5),
-    ImuSample(10, "imu", POSE.quaternion, FIRST, SECOND, 0.1, 0.2, 0.3),
-    ImuSample(20, "f", (0, 0, 0, 1), FIRST, FIRST, (3.0, 2.0, 1.0), 0.5, 0.0),
-    LoopSample(1500, 1.0, 0.75, 0.1, 0.25, 0.001, -7.0, (4.0, 3.0, 2.0, 1.0), True),
-    FixSample(250, "earth", 1, 3, 45.0, 9.0, 105.0, FIRST),
-    VectorSample(20, "earth", FIRST),
-    BlockSample(20, "base", np.array([FIRST, SECOND]), RANGES[:2]),
+    *yaml.load(Path(__file__).with_name("samples.yaml").read_text(), SampleLoader),
     RingsSample(20, "base", np.array([[(1.0, 2.0, 3.0, 4.0, 513, 5.0)]], RING_POINT)),
-    TransformSample(50, "odom", "base", POSE),
-    ContactsSample(1, "world", (CONTACT, CONTACT)),
-    # What is left of a command.
-    VelocitySample(20, "", VELOCITY),
-    # What a Kobuki says.
-    BumperEvent(20, 2, True),
-    CliffEvent(20, 1, True, 7),
-    WheelDropEvent(20, 1, False),
-    SwitchesSample(20, "base_link", 4, 2, 1),
-    CameraInfoSample(5, "optical", CAMERA, baseline=0.2),
     ImageSample(1234, "optical", "rgb8", PICTURE),
     ImageSample(1234, "optical", "mono8", PICTURE[..., 0]),
     ImageSample(7, "optical", "32FC1", np.array([[1.5, math.nan], [0.4, 5.0]], np.float32)),
@@ -175,17 +144,15 @@ def odometry(pose="orientation: {w: 1.0}", frame="odom", child="base"):
     return message(Odometry, text)
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [
-        "position: {x: .nan}, orientation: {w: 1.0}",
-        "position: {x: .inf}, orientation: {w: 1.0}",
-        "orientation: {w: .nan}",
-        "orientation: {w: 0.0}",
-        "orientation: {w: 1.1}",
-        "orientation: {z: 1.0e+308, w: 1.0e+308}",
-    ],
-)
+@cases("""
+bad:
+  - "position: {x: .nan}, orientation: {w: 1.0}"
+  - "position: {x: .inf}, orientation: {w: 1.0}"
+  - "orientation: {w: .nan}"
+  - "orientation: {w: 0.0}"
+  - "orientation: {w: 1.1}"
+  - "orientation: {z: 1.0e+308, w: 1.0e+308}"
+""")
 def test_poses_that_are_none_are_refused(bad):
     with pytest.raises(InputError):
         planar_pose(odometry(bad))

@@ -4,6 +4,7 @@ import pytest
 import yaml
 from message_fields import check, message
 from sensor_msgs.msg import CameraInfo
+from shared import cases
 
 from bullet_lab.ros.messages.images import CameraGeometryError, camera_of
 
@@ -23,20 +24,19 @@ def camera(changes="", size=(640, 480), rectified=False):
     return camera_of(message(CameraInfo, yaml.safe_dump(fields)), *size, rectified=rectified)
 
 
-# Changes, and the camera then.
-CAMERAS = """
-# Of a raw image: K and D.
-- ["", "{fx: 500.0, fy: 510.0, cx: 320.0, cy: 240.0, distortion: [-0.2, 0.05, 0.001, 0.002, 0.01]}"]
-# A lens of zeros is none.
-- ["distortion_model: '', D: []", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
-- ["D: [0, 0, 0, 0, 0]", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
-- ["distortion_model: x, D: [0, 0, 0, 0, 0, 0, 0, 0]", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
-# Four numbers are those without k3.
-- ["D: [0.1, 0.2, 0.3, 0.4]", "{distortion: [0.1, 0.2, 0.3, 0.4, 0.0]}"]
-"""
-
-
-@pytest.mark.parametrize("changes, fields", yaml.safe_load(CAMERAS))
+@cases("""
+changes, fields:
+  # Changes, and the camera then.
+  # Of a raw image: K and D.
+  - - ""
+    - "{fx: 500.0, fy: 510.0, cx: 320.0, cy: 240.0, distortion: [-0.2, 0.05, 0.001, 0.002, 0.01]}"
+  # A lens of zeros is none.
+  - ["distortion_model: '', D: []", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
+  - ["D: [0, 0, 0, 0, 0]", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
+  - ["distortion_model: x, D: [0, 0, 0, 0, 0, 0, 0, 0]", "{distortion: [0.0, 0.0, 0.0, 0.0, 0.0]}"]
+  # Four numbers are those without k3.
+  - ["D: [0.1, 0.2, 0.3, 0.4]", "{distortion: [0.1, 0.2, 0.3, 0.4, 0.0]}"]
+""")
 def test_a_raw_image_has_k_and_d(changes, fields):
     check(camera(changes), fields)
 
@@ -53,21 +53,19 @@ def test_a_region_moves_the_principal_point():
         camera(region)
 
 
-REFUSED = """
-"K: [0, 0, 0, 0, 0, 0, 0, 0, 0]": "zero K: the camera is not calibrated"
-"K: [.nan, 0, 0, 0, 0, 0, 0, 0, 0]": not finite
-"D: [.inf, 0, 0, 0, 0]": not finite
-"K: [-500, 0, 320, 0, 510, 240, 0, 0, 1]": focal lengths
-"K: [500, 9, 320, 0, 510, 240, 0, 0, 1]": no pinhole camera's
-"K: [500, 0, 320, 0, 510, 240, 0, 0, 0]": no pinhole camera's
-"width: 320": about 320 x 480 px, not 640 x 480
-"binning_x: 2": binning
-"distortion_model: equidistant": only plumb_bob is known
-"D: [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]": only plumb_bob is known
-"""
-
-
-@pytest.mark.parametrize("changes, reason", yaml.safe_load(REFUSED).items())
+@cases("""
+changes, reason:
+  "K: [0, 0, 0, 0, 0, 0, 0, 0, 0]": "zero K: the camera is not calibrated"
+  "K: [.nan, 0, 0, 0, 0, 0, 0, 0, 0]": not finite
+  "D: [.inf, 0, 0, 0, 0]": not finite
+  "K: [-500, 0, 320, 0, 510, 240, 0, 0, 1]": focal lengths
+  "K: [500, 9, 320, 0, 510, 240, 0, 0, 1]": no pinhole camera's
+  "K: [500, 0, 320, 0, 510, 240, 0, 0, 0]": no pinhole camera's
+  "width: 320": about 320 x 480 px, not 640 x 480
+  "binning_x: 2": binning
+  "distortion_model: equidistant": only plumb_bob is known
+  "D: [0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1]": only plumb_bob is known
+""")
 def test_what_says_nothing_of_use_is_refused(changes, reason):
     with pytest.raises(CameraGeometryError, match=reason):
         camera(changes)

@@ -1,29 +1,32 @@
 import pytest
-import yaml
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from message_fields import message
+from shared import cases
 
 from bullet_lab.core.pose import Pose as PlainPose
 from bullet_lab.ros.messages.poses import InputError, normalised_pose, twist_message, twist_of
 from bullet_lab.simulation.world.description import FrameState
 
-# Quaternions, and what they become.
-QUATERNIONS = """
-- [[0, 0, 0, 0], [0.0, 0.0, 0.0, 1.0]]
-- [[0, 0, 3, 4], [0.0, 0.0, 0.6, 0.8]]
-- [[0, 0, 3.0e+200, 4.0e+200], [0.0, 0.0, 0.6, 0.8]]
-- [[0, 0, -3.0e-200, 4.0e-200], [0.0, 0.0, -0.6, 0.8]]
-"""
 
-
-@pytest.mark.parametrize("given, expected", yaml.safe_load(QUATERNIONS))
+@cases("""
+given, expected:
+  # Quaternions, and what they become.
+  - [[0, 0, 0, 0], [0.0, 0.0, 0.0, 1.0]]
+  - [[0, 0, 3, 4], [0.0, 0.0, 0.6, 0.8]]
+  - [[0, 0, 3.0e+200, 4.0e+200], [0.0, 0.0, 0.6, 0.8]]
+  - [[0, 0, -3.0e-200, 4.0e-200], [0.0, 0.0, -0.6, 0.8]]
+""")
 def test_quaternions_are_normalised(given, expected):
     pose = normalised_pose(Pose(Point(1.0, 2.0, 3.0), Quaternion(*given)))
     assert pose.position == (1.0, 2.0, 3.0)
     assert pose.quaternion == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("value", [".nan", "-.inf"])
+@cases("""
+value:
+  - ".nan"
+  - "-.inf"
+""")
 @pytest.mark.parametrize(
     "read, kind, field, what",
     [

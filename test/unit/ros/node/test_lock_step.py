@@ -6,6 +6,7 @@ from bullet_lab.srv import AdvanceResponse
 from geometry_msgs.msg import Twist
 from message_fields import check
 from nav_msgs.msg import Odometry
+from shared import cases
 from std_msgs.msg import Time
 
 from bullet_lab.ros.node import lock_step
@@ -151,7 +152,7 @@ def test_nobody_waits_for_a_subscriber_that_is_gone(connection):
     assert connection.done
 
 
-@pytest.mark.parametrize("size", [6, None])
+@cases("size: [6, null]")
 def test_where_there_is_room_nobody_waits(connection, size):
     await_room(connection, size)
     await_room(object(), size)

@@ -8,6 +8,7 @@ import weakref
 from types import SimpleNamespace
 
 import pytest
+from shared import cases
 
 from bullet_lab.ros.node import node
 
@@ -77,7 +78,7 @@ def test_a_signal_ends_a_node_whose_main_thread_is_busy(name):
     assert (run.returncode, run.stdout, run.stderr) == (0, "True\n", "")
 
 
-@pytest.mark.parametrize("ending", [False, True])
+@cases("ending: [false, true]")
 def test_an_error_in_a_thread_is_reported_unless_the_node_ends(monkeypatch, caplog, ending):
     reported = []
     monkeypatch.setattr(node, "is_ending", lambda: ending)

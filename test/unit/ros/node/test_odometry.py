@@ -2,9 +2,9 @@
 
 import pytest
 import rospy
-import yaml
 from message_fields import message
 from nav_msgs.msg import Odometry
+from shared import cases
 
 from bullet_lab.ros.node import odometry
 from bullet_lab.ros.node.node import NodeError
@@ -61,23 +61,21 @@ def test_a_queue_refuses_what_goes_back_and_says_why(queue):
     assert (queue.queue.trouble, queue.take(1.0)) == ("", [0.05])
 
 
-# The rate (Hz), the stamps that came (s), what time it is (s), and whether it waits.
-DUE = """
-- [20.0, [], 0.0, false]
-- [20.0, [], 0.05, true]
-- [20.0, [0.05], 0.05, false]
-- [20.0, [0.05], 0.1, true]
-# At 30 Hz the bridge's steps are 34, 67 and 100 ms.
-- [30.0, [], 0.033, false]
-- [30.0, [0.034], 0.066, false]
-- [30.0, [0.034], 0.067, true]
-- [30.0, [0.067], 0.099, false]
-- [30.0, [0.067], 0.1, true]
-- [5.0, [0.2], 0.35, false]
-"""
-
-
-@pytest.mark.parametrize("rate, stamps, now, due", yaml.safe_load(DUE))
+@cases("""
+rate, stamps, now, due:
+  # The rate (Hz), the stamps that came (s), what time it is (s), and whether it waits.
+  - [20.0, [], 0.0, false]
+  - [20.0, [], 0.05, true]
+  - [20.0, [0.05], 0.05, false]
+  - [20.0, [0.05], 0.1, true]
+  # At 30 Hz the bridge's steps are 34, 67 and 100 ms.
+  - [30.0, [], 0.033, false]
+  - [30.0, [0.034], 0.066, false]
+  - [30.0, [0.034], 0.067, true]
+  - [30.0, [0.067], 0.099, false]
+  - [30.0, [0.067], 0.1, true]
+  - [5.0, [0.2], 0.35, false]
+""")
 def test_a_queue_waits_for_what_is_due(monkeypatch, clock, rate, stamps, now, due):
     queue = Queue(monkeypatch, clock, rate)
     queue.receive(*stamps)

@@ -1,6 +1,6 @@
 import os
 
-import pytest
+from shared import cases
 
 from bullet_lab.ros.nodes import bridge
 from bullet_lab.ros.nodes.bridge import add_exported_paths
@@ -30,7 +30,11 @@ class Packages:
         return str(self.folder / name)
 
 
-@pytest.mark.parametrize("mine, before", [("", []), ("/mine:/two", ["/mine", "/two"])])
+@cases("""
+mine, before:
+  - ["", []]
+  - [/mine:/two, [/mine, /two]]
+""")
 def test_what_packages_export_comes_after_what_the_user_says(tmp_path, monkeypatch, mine, before):
     packages = Packages(tmp_path)
     monkeypatch.setattr(bridge.rospkg, "RosPack", lambda: packages)

@@ -1,15 +1,16 @@
 import math
-from dataclasses import astuple
+from pathlib import Path
 
 import docking_standin as standin
 import numpy as np
 import pytest
-import yaml
+from alike import assert_as_before, lines_of
 from bullet_lab.msg import DockGoal, MarkerDetectionArray, UndockGoal
 from geometry_msgs.msg import Quaternion
 from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
+from shared import cases
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
@@ -33,50 +34,40 @@ from bullet_lab.ros.nodes.dock import (
 DOCK = standin.make_dock(standin.Stand((0.0, 0.0, 0.0), (0.0, 0.0, 0.1)))
 
 
-def test_odometry_with_the_covariance_of_its_twist():
-    text = """
-        header: {stamp: {secs: 1}, frame_id: odom}
-        pose: {pose: {position: {x: 2.0}, orientation: {z: 0.6, w: 0.8}}}
-    """
-    made = message(Odometry, text)
-    made.twist.covariance = list(range(36))
-    found = odometry_of(made)
-    assert found.pose == pytest.approx((2.0, 0.0, 2.0 * math.asin(0.6)))
-    check(found, "{stamp: 1.0, twist_covariance: [[0, 1, 5], [6, 7, 11], [30, 31, 35]]}")
+ODOMETRY = """
+    header: {stamp: {secs: 1}, frame_id: odom}
+    pose: {pose: {position: {x: 2.0}, orientation: {z: 0.6, w: 0.8}}}
+"""
+INFO = """
+    header: {frame_id: optical}
+    width: 640
+    height: 480
+    distortion_model: plumb_bob
+    K: [500.0, 0.0, 320.0, 0.0, 501.0, 240.0, 0.0, 0.0, 1.0]
+"""
+# Markers without finite corners are left out.
+DETECTIONS = """
+    header: {stamp: {secs: 2}}
+    detections:
+      - {id: 4, corners: [.nan, .nan, .nan, .nan, .nan, .nan, .nan, .nan]}
+      - {id: 3, dictionary: d, corners: [0, 1, 2, 3, 4, 5, 6, 7]}
+      - {id: 5, deviations: [.inf, .inf, .inf, .inf, .inf, .inf, .inf, .inf]}
+"""
 
 
-def test_a_camera_on_the_robot():
+def test_messages_are_read_as_before():
+    odometry = message(Odometry, ODOMETRY)
+    odometry.twist.covariance = list(range(36))
     # The optical frame of a camera that looks ahead.
-    mount = mount_of(Pose((0.16, 0.01, 0.44), (-0.5, 0.5, -0.5, 0.5)))
-    assert astuple(mount) == pytest.approx((0.16, 0.01, 0.44, 0.0, 0.0, 0.0), abs=1e-12)
-
-
-def test_camera_info():
-    text = """
-        header: {frame_id: optical}
-        width: 640
-        height: 480
-        distortion_model: plumb_bob
-        K: [500.0, 0.0, 320.0, 0.0, 501.0, 240.0, 0.0, 0.0, 1.0]
-    """
-    frame, camera = camera_of(message(CameraInfo, text))
-    assert frame == "optical"
-    check(camera, "{fx: 500.0, fy: 501.0, cx: 320.0, cy: 240.0}")
-
-
-def test_markers_without_finite_corners_are_left_out():
-    text = """
-        header: {stamp: {secs: 2}}
-        detections:
-          - {id: 4, corners: [.nan, .nan, .nan, .nan, .nan, .nan, .nan, .nan]}
-          - {id: 3, dictionary: d, corners: [0, 1, 2, 3, 4, 5, 6, 7]}
-          - {id: 5, deviations: [.inf, .inf, .inf, .inf, .inf, .inf, .inf, .inf]}
-    """
-    stamp, (found,) = sightings_of(message(MarkerDetectionArray, text))
-    assert stamp == 2.0
-    check(found, "{id: 3, dictionary: d, corners: [[0, 1], [2, 3], [4, 5], [6, 7]]}")
-    assert found.corners.dtype == np.float64
-    assert not found.deviations.any()
+    optical = Pose((0.16, 0.01, 0.44), (-0.5, 0.5, -0.5, 0.5))
+    found = {
+        "odometry": odometry_of(odometry),
+        "mount": mount_of(optical),
+        "camera": camera_of(message(CameraInfo, INFO)),
+        "sightings": sightings_of(message(MarkerDetectionArray, DETECTIONS)),
+    }
+    assert found["sightings"][1][0].corners.dtype == np.float64
+    assert_as_before(lines_of(found, "read"), Path(__file__).with_name("docking.txt"))
 
 
 def goal(frame):
@@ -126,21 +117,19 @@ def test_a_leaning_dock_is_refused_for_good():
     assert isinstance(caught.value, LabError)
 
 
-# Goals and what is wrong with them.
-INVALID = """
-- [dock, "max_retries: -2, dock_id: dock", max_retries is -2]
-- [dock, "", neither dock_id nor]
-- - dock
-  - "dock_pose: {header: {frame_id: odom}, pose: {position: {x: .nan}, orientation: {w: 1.0}}}"
-  - not finite
-- [dock, "dock_pose: {header: {frame_id: odom}}", no unit quaternion]
-- [undock, "distance: -0.1", distance is -0.1 m]
-- [undock, "distance: 10.1", from 0 to 10 m]
-- [undock, "distance: .nan", distance is nan m]
-"""
-
-
-@pytest.mark.parametrize("action, text, said", yaml.safe_load(INVALID))
+@cases("""
+action, text, said:
+  # Goals and what is wrong with them.
+  - [dock, "max_retries: -2, dock_id: dock", max_retries is -2]
+  - [dock, "", neither dock_id nor]
+  - - dock
+    - "dock_pose: {header: {frame_id: odom}, pose: {position: {x: .nan}, orientation: {w: 1.0}}}"
+    - not finite
+  - [dock, "dock_pose: {header: {frame_id: odom}}", no unit quaternion]
+  - [undock, "distance: -0.1", distance is -0.1 m]
+  - [undock, "distance: 10.1", from 0 to 10 m]
+  - [undock, "distance: .nan", distance is nan m]
+""")
 def test_invalid_goals_are_refused(action, text, said):
     kind = {"dock": DockGoal, "undock": UndockGoal}[action]
     with pytest.raises(DockingFailureError, match=said) as caught:

@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from alike import assert_as_before, lines_of_figure
+from shared import cases
 
 from bullet_lab.core.parameters import read_parameters
 from bullet_lab.core.trajectory import Trajectory
@@ -54,7 +55,7 @@ def test_summary_has_mean_and_largest_errors(tmp_path):
     assert fleet_summary([])["ape_rmse_m_largest"] is None
 
 
-@pytest.mark.parametrize("number", [1, 7])
+@cases("number: [1, 7]")
 def test_figures_are_as_before(number):
     robots = {
         name: (path(2.5 * (k % 5), 2.5 * (k // 5)), path(2.5 * (k % 5) + 0.1))

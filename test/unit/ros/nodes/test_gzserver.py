@@ -4,6 +4,7 @@ import pytest
 import yaml
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader
+from shared import cases
 
 from bullet_lab.core.parameters import ArgumentsError
 from bullet_lab.errors import LabError
@@ -16,35 +17,31 @@ def parse(line):
     return [found.world, found.paused, found.seed, found.plugins]
 
 
-# Lines, and their world, whether it is paused, the seed and the plugins that are not known.
-LINES = """
-# Those of empty_world.launch.
-"-u    --verbose -e ode  worlds/empty.world": [worlds/empty.world, true, 0, []]
-"   -e ode  /a/b.world": [/a/b.world, false, 0, []]
-"": [worlds/empty.world, false, 0, []]
-# What has no meaning here is ignored.
--r --record_path /tmp/x -q --minimal_comms --lockstep -e bullet -o default my.world:
-  [my.world, false, 0, []]
---seed 7 -s libgazebo_ros_api_plugin.so -s /lib/libgazebo_ros_paths_plugin.so -s w.so a:
-  [a, false, 7, [w.so]]
-"""
-
-
-@pytest.mark.parametrize("line, found", yaml.safe_load(LINES).items())
+@cases("""
+line, found:
+  # Lines, and their world, whether it is paused, the seed and the plugins that are not known.
+  # Those of empty_world.launch.
+  "-u    --verbose -e ode  worlds/empty.world": [worlds/empty.world, true, 0, []]
+  "   -e ode  /a/b.world": [/a/b.world, false, 0, []]
+  "": [worlds/empty.world, false, 0, []]
+  # What has no meaning here is ignored.
+  -r --record_path /tmp/x -q --minimal_comms --lockstep -e bullet -o default my.world:
+    [my.world, false, 0, []]
+  --seed 7 -s libgazebo_ros_api_plugin.so -s /lib/libgazebo_ros_paths_plugin.so -s w.so a:
+    [a, false, 7, [w.so]]
+""")
 def test_arguments(line, found):
     assert parse(line) == found
 
 
-REFUSED = """
--p state.log: --play is not simulated
---iters 100 a.world: --iters is not simulated
---seed x: "argument --seed: invalid int value: 'x'"
-a.world b.world: "unrecognized arguments: b.world"
---nix: "unrecognized arguments: --nix"
-"""
-
-
-@pytest.mark.parametrize("line, reason", yaml.safe_load(REFUSED).items())
+@cases("""
+line, reason:
+  -p state.log: --play is not simulated
+  --iters 100 a.world: --iters is not simulated
+  --seed x: "argument --seed: invalid int value: 'x'"
+  a.world b.world: "unrecognized arguments: b.world"
+  --nix: "unrecognized arguments: --nix"
+""")
 def test_refusals(line, reason):
     with pytest.raises(ArgumentsError, match=reason):
         parse(line)
@@ -69,12 +66,18 @@ def test_worlds_are_looked_up_as_in_gazebo(tmp_path, monkeypatch, logged):
         assert line.endswith("; the world is empty, as in Gazebo")
 
 
-@pytest.mark.parametrize("name", ["package://p/w.world", "model://m/w.world"])
+@cases("name: [package://p/w.world, model://m/w.world]")
 def test_worlds_that_need_no_search(name):
     assert find_world(name) == name
 
 
-@pytest.mark.parametrize("text", ["true", "false", "0.1", "1"])
+@cases("""
+text:
+  - "true"
+  - "false"
+  - "0.1"
+  - "1"
+""")
 def test_use_sim_time_has_the_type_of_its_value(text):
     """As in gazebo_ros's own launch file: use_sim_time:=0.1 is no mistake there."""
     launch = Path(__file__).parents[4] / "stand_ins/gazebo_ros/launch/empty_world.launch"

@@ -1,16 +1,18 @@
 """Nodes that look at images: answers, encodings, what they refuse, and their diagnostics."""
 
 import dataclasses
-import math
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rospy
-from marker_images import CAMERA, View, image_of, marker, true_corners
-from message_fields import plain
+from alike import assert_as_before, lines_of
+from marker_images import CAMERA, View, image_of, marker
+from message_fields import lines_of_message
 from sensor_msgs.msg import CameraInfo
+from shared import cases
 
 from bullet_lab.core.parameters import read_parameters
 from bullet_lab.ros.messages.images import image_message, pixels_of
@@ -29,7 +31,6 @@ from bullet_lab.ros.nodes.image_node import (
 
 NODE = image_node
 FRAME = "camera_optical_frame"
-CORNERS = ((200, 150), (400, 150), (400, 350), (200, 350))
 BLUE = (255, 0, 0)
 VIEW = View(2.0, yaw=20.0, shift=(0.1, 0.05))
 
@@ -67,7 +68,7 @@ def finder(info):
 
 
 def square():
-    """A white square on dark ground, with its corners at CORNERS."""
+    """A white square on dark ground, from (200, 150) to (400, 350) px."""
     pixels = np.full((480, 640), 60, np.uint8)
     pixels[150:351, 200:401] = 220
     return pixels
@@ -82,54 +83,45 @@ def answers(node, published, message, *topics):
     return found
 
 
-def test_edges_are_where_the_square_ends_and_blue(published):
-    node = CannyEdges(CannyParameters())
-    edges, drawn = answers(node, published, image(square()), "edges", "image_annotated")
-    assert edges.encoding == "mono8"
-    seen = pixels_of(edges, "mono8")
-    assert set(np.unique(seen)) == {0, 255}
-    row, column = np.nonzero(seen)
-    found = (column.min(), column.max(), row.min(), row.max())
-    np.testing.assert_allclose(found, (199, 401, 149, 351), atol=1)
-    assert not seen[160:340, 210:390].any()
-    pixels = pixels_of(drawn, "bgr8")
-    assert (pixels[140:160, 300] == BLUE).all(axis=1).any()
-    assert pixels[20, 20].tolist() == [60, 60, 60]
+def marked(pixels):
+    """The number of pixels that are not 0, and the sums of their rows and columns."""
+    rows, columns = np.nonzero(pixels)
+    return len(rows), rows.sum(), columns.sum()
 
 
-@pytest.mark.parametrize(
-    ("kind", "parameters"),
-    [(GoodFeatures, GoodFeaturesParameters), (HarrisCorners, HarrisParameters)],
-)
-def test_corners_are_those_of_the_square_and_blue(published, kind, parameters):
-    node = kind(parameters())
-    answer, drawn = answers(node, published, image(square()), "points", "image_annotated")
-    assert (answer.width, answer.height) == (640, 480)
-    points = np.array([(p.x, p.y, p.z) for p in answer.points])
-    away = np.linalg.norm(points[:, None, :2] - np.array(CORNERS), axis=2)
-    assert away.min(axis=0).max() < 3.0
-    assert (np.diff(points[:, 2]) <= 0.0).all()
-    pixels = pixels_of(drawn, "bgr8")
-    for u, v in CORNERS:
-        assert (pixels[v - 2 : v + 3, u - 2 : u + 3] == BLUE).all(axis=2).any()
+def test_edges_and_corners_of_a_square_are_as_before(published):
+    nodes = {
+        "edges": CannyEdges(CannyParameters()),
+        "no edges": CannyEdges(CannyParameters(low=2000.0, high=2000.0)),
+        "features": GoodFeatures(GoodFeaturesParameters()),
+        "two features": GoodFeatures(GoodFeaturesParameters(max_corners=2)),
+        "corners": HarrisCorners(HarrisParameters()),
+        "no corners": HarrisCorners(HarrisParameters(threshold=1.0)),
+    }
+    told = []
+    for name, node in nodes.items():
+        (drawn,) = answers(node, published, image(square()), "image_annotated")
+        for answer in published["~points"]:
+            told += lines_of([answer.width, answer.height, len(answer.points)], name)
+            # All are as strong.
+            told += lines_of(sorted((p.x, p.y) for p in answer.points if "two" not in name), name)
+        for edges in published["~edges"]:
+            told += lines_of([edges.encoding, *marked(pixels_of(edges, "mono8"))], name)
+        blue = (pixels_of(drawn, "bgr8") == BLUE).all(axis=2)
+        told += lines_of([*marked(blue)] if "two" not in name else [], f"{name}: blue")
+        told += lines_of(node.process(image_node.CameraImage(image(square()), None)), name)
+        for sent in published.values():
+            sent.clear()
+    assert_as_before(told, Path(__file__).with_name("corners.txt"), within=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("node", "figures"),
-    [
-        (lambda: CannyEdges(CannyParameters(low=2000.0, high=2000.0)), {"edge pixels": 0}),
-        (lambda: GoodFeatures(GoodFeaturesParameters(max_corners=2)), {"features": 2}),
-        (lambda: HarrisCorners(HarrisParameters(threshold=1.0)), {"corners": 0}),
-    ],
-)
-def test_parameters_count(published, node, figures):
-    assert node().process(image_node.CameraImage(image(square()), None)) == figures
-
-
-@pytest.mark.parametrize(
-    ("encoding", "channels"),
-    [("bgr8", [0, 1, 2]), ("rgb8", [2, 1, 0]), ("bgra8", [0, 1, 2, 3]), ("rgba8", [2, 1, 0, 3])],
-)
+@cases("""
+encoding, channels:
+  - [bgr8, [0, 1, 2]]
+  - [rgb8, [2, 1, 0]]
+  - [bgra8, [0, 1, 2, 3]]
+  - [rgba8, [2, 1, 0, 3]]
+""")
 def test_encodings_that_cameras_have(encoding, channels):
     colours = np.full((480, 640, 4), (10, 120, 230, 255), np.uint8)[..., channels]
     seen = image(colours, encoding=encoding)
@@ -144,13 +136,6 @@ def bad_image(which):
     elif which != "tiny":
         message.encoding = which
     return message
-
-
-@pytest.mark.parametrize("which", ["32FC1", "no such", "short", "tiny"])
-def test_images_that_are_none_are_answered_without_a_marker(published, which):
-    node = finder(camera_info())
-    (answer,) = answers(node, published, bad_image(which), "detections")
-    assert answer.detections == []
 
 
 def test_images_that_are_none_are_refused(published, logged):
@@ -170,49 +155,64 @@ def test_a_stamp_that_comes_twice_is_refused_and_time_may_be_set_back(published)
     assert node._refusals.total == 3
 
 
-def place_of(found):
-    place = found.pose.pose.position
-    return [place.x, place.y, place.z]
+BENT = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.001, 0.0))
 
 
-def test_the_lens_of_a_raw_image(published):
-    bent = dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.001, 0.0))
-    view = View(1.0, yaw=25.0, shift=(0.35, 0.2))
-    node = finder(camera_info(bent))
-    (answer,) = answers(node, published, image(marker_image(view, bent)), "detections")
-    assert place_of(answer.detections[0]) == pytest.approx(view.translation, abs=0.005)
-
-
-def test_chosen_markers_of_rectified_images_have_transforms(published, monkeypatch):
-    monkeypatch.setattr(aruco, "publisher", image_node.publisher)
-    layout = [{"id": 7, "size": 0.4, "x": 0.1}, {"id": 3, "size": 0.2}]
-    bundles = [{"name": "panel", "layout": layout}]
-    given = {"tags": "4x4_50", "ids": "3 7", "sizes": "7=0.4", "tag_bundles": bundles}
-    given.update(rectified=True, publish_tf=True)
-    parameters = read_parameters(ArucoParameters, lambda name, none: given.get(name[1:], none))
-    node, view = Aruco(parameters), View(1.0, yaw=25.0, shift=(0.35, 0.2))
+def finders():
+    """Names and parameters of nodes that find markers, their camera_info and their images."""
+    plain, none, rectified = camera_info(), camera_info(), camera_info(BENT)
+    none.K = [0.0] * 9
     # Of a rectified image, the lens does not matter.
-    about = camera_info(dataclasses.replace(CAMERA, distortion=(-0.3, 0.1, 0.001, -0.001, 0.0)))
-    about.P = np.column_stack((CAMERA.matrix, (0.0, 0.0, 0.0))).ravel().tolist()
-    node._receive_info(about)
-    seen = image_of([marker(7, size=0.4, tags="4x4_50")], view, samples=4)
-    (answer,) = answers(node, published, image(seen), "detections")
-    ((found,), (bundle,)) = answer.detections, answer.bundles
-    assert (found.id, found.dictionary, found.size) == (7, "DICT_4X4_50", 0.4)
-    assert place_of(found) == pytest.approx(view.translation, abs=0.005)
-    assert (bundle.name, bundle.ids) == ("panel", (7,))
-    (one, panel) = published["/tf"][0].transforms
-    assert (one.child_frame_id, one.header.frame_id) == ("fiducial_7", FRAME)
-    assert panel.child_frame_id == "panel"
-    ends = [plain(each.transform.translation) for each in (one, panel)]
-    assert math.dist(*ends) == pytest.approx(0.1, abs=1e-6)
-    assert np.linalg.norm(plain(one.transform.rotation)) == pytest.approx(1.0, abs=1e-9)
-    other = image_of([marker(9, tags="4x4_50")], VIEW, samples=4)
-    (answer,) = answers(node, published, image(other, 3.0), "detections")
-    assert not answer.detections
+    rectified.P = np.column_stack((CAMERA.matrix, (0.0, 0.0, 0.0))).ravel().tolist()
+    aside, usual = View(1.0, yaw=25.0, shift=(0.35, 0.2)), image(marker_image())
+    wrong = map(bad_image, ("32FC1", "no such", "short", "tiny"))
+    yield "usual", {}, plain, [usual, image(square()), *wrong]
+    yield "without a camera", {}, none, [usual]
+    yield "bent", {}, camera_info(BENT), [image(marker_image(aside, BENT))]
+    layout = [{"id": 7, "size": 0.4, "x": 0.1}, {"id": 3, "size": 0.2}]
+    given = {"tags": "4x4_50", "ids": "3 7", "sizes": "7=0.4", "rectified": True}
+    given.update(tag_bundles=[{"name": "panel", "layout": layout}], publish_tf=True)
+    shown = (marker(7, size=0.4, tags="4x4_50"), aside), (marker(9, tags="4x4_50"), VIEW)
+    images = [image(image_of([layer], view, samples=4)) for layer, view in shown]
+    yield "chosen", given, rectified, images
 
 
-@pytest.mark.parametrize("topic", ["/cam/{}", "cam/{}", "/{}", "{}"])
+def lines_of_answers(node, published, images):
+    """Yield lines for all that a node publishes for images, but for what it draws."""
+    for number, seen in enumerate(images):
+        for sent in published.values():
+            sent.clear()
+        seen.header.stamp = rospy.Time(number + 1)
+        node._receive_image(seen)
+        yield from lines_of(node.health, f"image {number}")
+        for topic, sent in sorted(published.items()):
+            yield f"{topic} {len(sent)} times"
+            for one in sent if topic != "~image_annotated" else ():
+                yield from lines_of_message(one, topic)
+                for found in getattr(one, "detections", ()):
+                    # In units that leave some digits.
+                    yield from lines_of(1e6 * np.array(found.pose.covariance), "covariance")
+
+
+def test_each_image_is_answered_with_its_markers_as_before(published, monkeypatch):
+    monkeypatch.setattr(aruco, "publisher", image_node.publisher)
+    told = []
+    for name, given, info, images in finders():
+        parameters = {f"~{at}": value for at, value in given.items()}
+        node = Aruco(read_parameters(ArucoParameters, parameters.get))
+        node._receive_info(info)
+        told += [f"# {name}", *lines_of_answers(node, published, images)]
+    # Other processors round others.
+    assert_as_before(told, Path(__file__).with_name("detections.txt"), within=2e-3)
+
+
+@cases("""
+topic:
+  - "/cam/{}"
+  - "cam/{}"
+  - "/{}"
+  - "{}"
+""")
 def test_camera_info_is_beside_the_image(topic):
     assert ImageParameters(topic.format("image")).info_topic == topic.format("camera_info")
 
@@ -229,40 +229,3 @@ def test_camera_info_is_waited_for_by_the_first_image(published, monkeypatch):
     looking.join()
     (info,) = seen
     assert info.K == camera_info().K
-
-
-def test_a_marker_where_it_is(published):
-    node = finder(camera_info())
-    topics = ("detections", "pose", "pose_with_covariance", "image_annotated", "camera_info")
-    all_of_them, pose, with_covariance, _, _ = answers(
-        node, published, image(marker_image()), *topics
-    )
-    (found,) = all_of_them.detections
-    assert (found.id, found.dictionary, found.size) == (0, "DICT_APRILTAG_36h10", 0.2)
-    corners = np.reshape(found.corners, (4, 2))
-    assert np.abs(corners - true_corners(VIEW)).max() < 0.1
-    assert place_of(found) == pytest.approx(VIEW.translation, abs=0.01)
-    assert found.pose.covariance[0] > 0.0
-    assert found.reprojection_error < found.alternative_reprojection_error
-    assert not found.ambiguous
-    assert found.pose.pose == pose.pose
-    assert found.pose == with_covariance.pose
-
-
-@pytest.mark.parametrize(("pixels", "number"), [(marker_image(), 1), (square(), 0)])
-def test_every_image_is_answered_also_without_a_marker(published, pixels, number):
-    node = finder(camera_info())
-    (answer,) = answers(node, published, image(pixels), "detections")
-    assert len(answer.detections) == number
-    level, line = node.health
-    assert (level, "id 0 at 2.0" in line) == ((0, True) if number else (1, False))
-
-
-def test_a_camera_that_is_none(published):
-    zero = camera_info()
-    zero.K = [0.0] * 9
-    node = finder(zero)
-    (answer,) = answers(node, published, image(marker_image()), "detections")
-    assert answer.detections[0].size == 0.0
-    assert node.health.level == 2
-    assert "zero K" in node.health.message

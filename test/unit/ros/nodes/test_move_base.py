@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-import yaml
+from shared import cases
 
 pytest.importorskip("rospy")
 # The real move_base has no such module.
@@ -27,51 +27,49 @@ def parameters(given):
     return read(lambda name, default: given.get(name, default))
 
 
-# What is set, and the parameter of the drive with its value.
-SETTINGS = """
-- [{}, radius, 0.46]
-- [{}, tolerance, 0.1]
-- [{}, map, map]
-- [{TrajectoryPlannerROS/max_vel_x: 0.5}, speed, 0.5]
-- [{DWAPlannerROS/max_vel_x: 0.5}, speed, 0.2]
-- [{base_local_planner: dwa_local_planner/DWAPlannerROS, DWAPlannerROS/max_vel_x: 0.5}, speed, 0.5]
-- - {base_local_planner: dwa_local_planner/DWAPlannerROS, DWAPlannerROS/max_rot_vel: 1.5}
-  - turn_speed
-  - 1.5
-- [{TrajectoryPlannerROS/acc_lim_theta: 3.2}, turn_acceleration, 3.2]
-- [{TrajectoryPlannerROS/yaw_goal_tolerance: 0.2}, yaw_tolerance, 0.2]
-- [{TrajectoryPlannerROS/yaw_goal_tolerance: 6.28}, heading, false]
-- [{}, heading, true]
-- [{controller_frequency: 3.0}, rate, 5.0]
-- [{global_costmap/robot_radius: 0.18}, radius, 0.18]
-- [{local_costmap/robot_radius: 0.18}, radius, 0.18]
-- [{global_costmap/footprint: [[-0.3, -0.4], [0.1, 0.0], [0.2, 0.2]]}, radius, 0.5]
-- [{local_costmap/footprint: "[[0.3, 0.4], [0, 0.1], [-0.1, 0]]"}, radius, 0.5]
-- [{global_costmap/inflation_layer/inflation_radius: 0.7}, inflation, 0.7]
-- [{global_costmap/inflation_radius: 0.7}, inflation, 0.7]
-- - local_costmap:
-      obstacle_layer:
-        observation_sources: cloud laser
-        cloud: {data_type: PointCloud2, topic: points}
-        laser: {data_type: LaserScan, topic: /base_scan}
-  - scan
-  - /base_scan
-"""
-
-
-@pytest.mark.parametrize("given, name, value", yaml.safe_load(SETTINGS))
+@cases("""
+given, name, value:
+  # What is set, and the parameter of the drive with its value.
+  - [{}, radius, 0.46]
+  - [{}, tolerance, 0.1]
+  - [{}, map, map]
+  - [{TrajectoryPlannerROS/max_vel_x: 0.5}, speed, 0.5]
+  - [{DWAPlannerROS/max_vel_x: 0.5}, speed, 0.2]
+  - - {base_local_planner: dwa_local_planner/DWAPlannerROS, DWAPlannerROS/max_vel_x: 0.5}
+    - speed
+    - 0.5
+  - - {base_local_planner: dwa_local_planner/DWAPlannerROS, DWAPlannerROS/max_rot_vel: 1.5}
+    - turn_speed
+    - 1.5
+  - [{TrajectoryPlannerROS/acc_lim_theta: 3.2}, turn_acceleration, 3.2]
+  - [{TrajectoryPlannerROS/yaw_goal_tolerance: 0.2}, yaw_tolerance, 0.2]
+  - [{TrajectoryPlannerROS/yaw_goal_tolerance: 6.28}, heading, false]
+  - [{}, heading, true]
+  - [{controller_frequency: 3.0}, rate, 5.0]
+  - [{global_costmap/robot_radius: 0.18}, radius, 0.18]
+  - [{local_costmap/robot_radius: 0.18}, radius, 0.18]
+  - [{global_costmap/footprint: [[-0.3, -0.4], [0.1, 0.0], [0.2, 0.2]]}, radius, 0.5]
+  - [{local_costmap/footprint: "[[0.3, 0.4], [0, 0.1], [-0.1, 0]]"}, radius, 0.5]
+  - [{global_costmap/inflation_layer/inflation_radius: 0.7}, inflation, 0.7]
+  - [{global_costmap/inflation_radius: 0.7}, inflation, 0.7]
+  - - local_costmap:
+        obstacle_layer:
+          observation_sources: cloud laser
+          cloud: {data_type: PointCloud2, topic: points}
+          laser: {data_type: LaserScan, topic: /base_scan}
+    - scan
+    - /base_scan
+""")
 def test_parameters_of_move_base_are_those_of_the_drive(given, name, value):
     assert getattr(parameters(given), name) == value
 
 
-WRONG = """
-- [{TrajectoryPlannerROS/max_vel_x: -1}, "~TrajectoryPlannerROS/max_vel_x is -1: it must"]
-- [{global_costmap/footprint: round}, "footprint is round: it must be a list of points"]
-- [{global_costmap/footprint: [[0, 0]]}, footprint]
-"""
-
-
-@pytest.mark.parametrize("given, line", yaml.safe_load(WRONG))
+@cases("""
+given, line:
+  - [{TrajectoryPlannerROS/max_vel_x: -1}, "~TrajectoryPlannerROS/max_vel_x is -1: it must"]
+  - [{global_costmap/footprint: round}, "footprint is round: it must be a list of points"]
+  - [{global_costmap/footprint: [[0, 0]]}, footprint]
+""")
 def test_a_value_that_cannot_be_used_is_named_as_move_base_has_it(given, line):
     with pytest.raises(ParameterError) as error:
         parameters(given)
@@ -88,7 +86,7 @@ def test_a_map_is_the_same_as_a_message():
     assert (found.resolution, found.origin) == (made.resolution, made.origin)
 
 
-@pytest.mark.parametrize("width, resolution", [(3, 0.1), (2, 0.0), (2, math.nan), (2, math.inf)])
+@cases("width, resolution: [[3, 0.1], [2, 0.0], [2, .nan], [2, .inf]]")
 def test_a_map_of_another_size_is_refused(width, resolution):
     info = MapMetaData(width=width, height=2, resolution=resolution)
     info.origin.orientation.w = 1.0

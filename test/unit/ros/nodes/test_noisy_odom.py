@@ -12,6 +12,7 @@ from alike import assert_as_before, lines_of
 from bullet_lab.srv import SetNoiseRequest
 from nav_msgs.msg import Odometry
 from recorded_paths import make_rule
+from shared import cases
 
 from bullet_lab.core.se2 import quaternion_from_yaw
 from bullet_lab.noise.odometry_noise import NoisyPath
@@ -79,10 +80,11 @@ def assert_follows(path, perfect, noisy):
         )
 
 
-@pytest.mark.parametrize(
-    ("model", "std", "alphas"),
-    [("rate_invariant", 0.2, ()), ("probabilistic", 0.0, (0.01, 0.02, 0.03, 0.04))],
-)
+@cases("""
+model, std, alphas:
+  - [rate_invariant, 0.2, []]
+  - [probabilistic, 0.0, [0.01, 0.02, 0.03, 0.04]]
+""")
 def test_one_message_for_each_with_the_draws_of_the_seed(adder, model, std, alphas):
     perfect = arc(40)
     named = {f"alpha{i}": value for i, value in enumerate(alphas, 1)}
@@ -107,16 +109,14 @@ def test_noise_is_changed_while_it_runs(adder):
     assert_follows(path, perfect[20:], noisy[20:])
 
 
-@pytest.mark.parametrize(
-    ("model", "std", "alphas", "said"),
-    [
-        ("report", -1.0, [], "std is -1.0: it must be"),
-        # Also for a model without it.
-        ("probabilistic", -1.0, [], "std is -1.0: it must be"),
-        ("probabilistic", 0.1, [0, 0, -1, 0], "alpha3 is -1: it must be"),
-        ("nix", 0.1, [], "unknown noise model 'nix'"),
-    ],
-)
+@cases("""
+model, std, alphas, said:
+  - [report, -1.0, [], "std is -1.0: it must be"]
+  # Also for a model without it.
+  - [probabilistic, -1.0, [], "std is -1.0: it must be"]
+  - [probabilistic, 0.1, [0, 0, -1, 0], "alpha3 is -1: it must be"]
+  - [nix, 0.1, [], unknown noise model 'nix']
+""")
 def test_a_request_that_is_invalid_changes_nothing(adder, model, std, alphas, said):
     node = adder(std=0.3)
     refused = node.set_noise(SetNoiseRequest(model, std, alphas))

@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 from alike import assert_as_before
 from message_fields import message, plain
+from shared import cases
 from visualization_msgs.msg import Marker
 
 from bullet_lab.ros.messages.gazebo_types import msg
@@ -30,7 +31,7 @@ def touching(force=2.0, normals="[{x: -1}, {x: -1}]", before=False):
     return message(msg.ContactsState, text.replace("-inf", "-.inf").replace("nan", ".nan"))
 
 
-@pytest.mark.parametrize("before", [False, True])
+@cases("before: [false, true]")
 def test_each_point_of_the_last_step_has_a_sphere_a_normal_and_its_force(before):
     # The second point of each pair of shapes bears nothing: no arrow.
     markers = contact_markers(touching(before=before), 0.1)
@@ -38,7 +39,7 @@ def test_each_point_of_the_last_step_has_a_sphere_a_normal_and_its_force(before)
     assert_as_before(told, Path(__file__).with_name("contacts.txt"))
 
 
-@pytest.mark.parametrize("before", [False, True])
+@cases("before: [false, true]")
 def test_the_wrench_is_that_of_all_contacts_of_the_last_step(before):
     assert plain(total_wrench(touching(before=before))) == [[-4.0, 0.0, 0.0], [0.0, 0.0, 2.0]]
     assert plain(total_wrench(msg.ContactsState())) == [[0.0] * 3] * 2

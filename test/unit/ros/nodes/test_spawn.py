@@ -1,8 +1,8 @@
 """Models in patterns, and the command line of spawn_model."""
 
 import pytest
-import yaml
 from message_fields import check
+from shared import cases
 
 from bullet_lab.core.parameters import ArgumentsError, ParameterError, read_parameters
 from bullet_lab.core.pose import Pose
@@ -22,14 +22,12 @@ def wanted(**given):
     return read_parameters(PopulateParameters, lambda name, default: given.get(name[1:], default))
 
 
-POSES = """
-# By default, the three beacons of the report.
-- [{}, [[1.0, 1.0, 0.0], [5.0, 1.0, 0.0], [-5.0, 1.0, 0.0]]]
-- [{poses: [[1, 2], [3, 4, 0.5]]}, [[1, 2, 0], [3, 4, 0.5]]]
-"""
-
-
-@pytest.mark.parametrize("given, places", yaml.safe_load(POSES))
+@cases("""
+given, places:
+  # By default, the three beacons of the report.
+  - [{}, [[1.0, 1.0, 0.0], [5.0, 1.0, 0.0], [-5.0, 1.0, 0.0]]]
+  - [{poses: [[1, 2], [3, 4, 0.5]]}, [[1, 2, 0], [3, 4, 0.5]]]
+""")
 def test_poses(given, places):
     assert list(map(list, places_of(wanted(**given)).values())) == places
 
@@ -40,15 +38,12 @@ def test_the_model_is_a_beacon():
     assert model.links[0].collisions[0].geometry.path.name == "beacon.dae"
 
 
-@pytest.mark.parametrize("pattern", ["line", "grid", "circle"])
+@cases("pattern: [line, grid, circle]")
 def test_other_patterns_have_as_many_places_as_asked_for(pattern):
     assert len(set(places_of(wanted(pattern=pattern, count=7)).values())) == 7
 
 
-NO_POSES = "[5, [1, 2], [[1]], [[1, 2, 3, 4]], [['1', '2']], [[true, 1]], [[.nan, 0]]]"
-
-
-@pytest.mark.parametrize("poses", yaml.safe_load(NO_POSES))
+@cases("poses: [5, [1, 2], [[1]], [[1, 2, 3, 4]], [['1', '2']], [[true, 1]], [[.nan, 0]]]")
 def test_poses_that_are_none(poses):
     with pytest.raises(ParameterError, match=r"~poses is .*: it must be a list of \[x, y\]"):
         wanted(poses=poses)
@@ -124,46 +119,50 @@ def test_all_of_it():
     assert found.pose.rpy() == pytest.approx((0.1, -0.2, 3.0))
 
 
-@pytest.mark.parametrize("x", ["-1", "-.5", "-1e-3", "+2", "-2E+1", "-3."])
+@cases("""
+x:
+  - "-1"
+  - -.5
+  - -1e-3
+  - "+2"
+  - -2E+1
+  - "-3."
+""")
 def test_numbers_in_any_spelling(x):
     found = parse(f"-sdf -stdin -model m -x {x} -J j {x}")
     assert found.pose == Pose((float(x), 0.0, 0.0))
     assert found.joints["j"] == pytest.approx(float(x), abs=1e-15)
 
 
-# Lines, and what they say in the namespace /left/.
-LINES = """
--urdf -stdin -model m: "{robot_namespace: /left/, source: [stdin, '']}"
--urdf -stdin -model m -namespace /right: "{robot_namespace: /right}"
--sdf -database table -model t: "{source: [database, table]}"
--gazebo -file f -model t: "{urdf: false}"
-"""
-
-
-@pytest.mark.parametrize("line, fields", yaml.safe_load(LINES).items())
+@cases("""
+line, fields:
+  # Lines, and what they say in the namespace /left/.
+  -urdf -stdin -model m: "{robot_namespace: /left/, source: [stdin, '']}"
+  -urdf -stdin -model m -namespace /right: "{robot_namespace: /right}"
+  -sdf -database table -model t: "{source: [database, table]}"
+  -gazebo -file f -model t: "{urdf: false}"
+""")
 def test_namespaces_and_sources(line, fields):
     check(parse(line, "/left/"), fields)
 
 
-REFUSED = """
-    -file f -model m: one of the arguments -urdf -sdf/-gazebo is required
-    -urdf -sdf -file f -model m: not allowed with argument
-    -urdf -model m: one of the arguments -file -param -database -stdin is required
-    -urdf -file f -param p -model m: not allowed with argument
-    -urdf -file f: "required: -model"
-    -urdf -file f -model m -x one: "'one' is not a finite number"
-    -urdf -file f -model m -z nan: "'nan' is not a finite number"
-    -urdf -file f -model m -z -inf: "'-inf' is not a finite number"
-    -urdf -file f -model m -z -1x: "'-1x' is not a finite number"
-    -urdf -file f -model m -Y: "-Y: expected one argument"
-    -urdf -file f -model m -J j: "-J: expected 2 arguments"
-    -urdf -file f -model m -J j far: "'far' is not a finite number"
-    -trimesh -file f -model m: required
-    -urdf -file f -model m -trimesh_mass 1: "unrecognized arguments: -trimesh_mass 1"
-"""
-
-
-@pytest.mark.parametrize("line, reason", yaml.safe_load(REFUSED).items())
+@cases("""
+line, reason:
+  -file f -model m: one of the arguments -urdf -sdf/-gazebo is required
+  -urdf -sdf -file f -model m: not allowed with argument
+  -urdf -model m: one of the arguments -file -param -database -stdin is required
+  -urdf -file f -param p -model m: not allowed with argument
+  -urdf -file f: "required: -model"
+  -urdf -file f -model m -x one: "'one' is not a finite number"
+  -urdf -file f -model m -z nan: "'nan' is not a finite number"
+  -urdf -file f -model m -z -inf: "'-inf' is not a finite number"
+  -urdf -file f -model m -z -1x: "'-1x' is not a finite number"
+  -urdf -file f -model m -Y: "-Y: expected one argument"
+  -urdf -file f -model m -J j: "-J: expected 2 arguments"
+  -urdf -file f -model m -J j far: "'far' is not a finite number"
+  -trimesh -file f -model m: required
+  -urdf -file f -model m -trimesh_mass 1: "unrecognized arguments: -trimesh_mass 1"
+""")
 def test_refusals(line, reason):
     with pytest.raises(ArgumentsError) as caught:
         parse(line)

@@ -8,6 +8,7 @@ import rospy
 from alike import assert_as_before
 from message_fields import message
 from nav_msgs.msg import Odometry
+from shared import cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros.nodes import track_robot
@@ -27,15 +28,13 @@ def odometry(seconds, x=0.0, y=0.0, frame="odom"):
     return made
 
 
-@pytest.mark.parametrize(
-    ("place", "name", "words"),
-    # Distances that every formula gives to the last digit: 3-4-5 and the like.
-    [
-        ((1.0, 2.0), "beacon_0", "x:1 y:1, distance: 1.0"),
-        ((5.0, 4.0), "beacon_1", "x:5 y:1, distance: 3.0"),
-        ((-5.0, -11.0), "beacon_2", "x:-5 y:1, distance: 12.0"),
-    ],
-)
+@cases("""
+place, name, words:
+  # Distances that every formula gives to the last digit: 3-4-5 and the like.
+  - [[1.0, 2.0], beacon_0, "x:1 y:1, distance: 1.0"]
+  - [[5.0, 4.0], beacon_1, "x:5 y:1, distance: 3.0"]
+  - [[-5.0, -11.0], beacon_2, "x:-5 y:1, distance: 12.0"]
+""")
 def test_strings_are_those_of_the_report(published, place, name, words):
     TrackRobot(TrackRobotParameters()).callback(odometry(1.0, *place))
     (line,) = published[name]
@@ -73,22 +72,20 @@ def test_what_cannot_be_used_is_refused(published):
     assert [m.header.stamp.to_sec() for m in published["beacon_2/range"]] == [1.0, 3.0]
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        5,
-        [["a", 1]],
-        [["a", 1, 2, 3]],
-        [["a", 1, math.inf]],
-        [["a", 1, "2"]],
-        [["a", True, 2]],
-        [["a b", 1, 2]],
-        [["", 1, 2]],
-        [[7, 1, 2]],
-        [["a", 1, 2], ["a", 3, 4]],
-        {"a": [1, 2]},
-    ],
-)
+@cases("""
+value:
+  - 5
+  - [[a, 1]]
+  - [[a, 1, 2, 3]]
+  - [[a, 1, .inf]]
+  - [[a, 1, "2"]]
+  - [[a, true, 2]]
+  - [[a b, 1, 2]]
+  - [["", 1, 2]]
+  - [[7, 1, 2]]
+  - [[a, 1, 2], [a, 3, 4]]
+  - {a: [1, 2]}
+""")
 def test_bad_beacons(value):
     with pytest.raises((ValueError, TypeError)):
         accept_beacons(value)

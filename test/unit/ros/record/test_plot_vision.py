@@ -3,6 +3,7 @@ from types import SimpleNamespace
 import message_filters
 import pytest
 import rospy
+from shared import cases
 
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import plots
@@ -45,17 +46,15 @@ def first(monkeypatch):
     return first
 
 
-ANSWERS = {
-    "a1 b1 c1 a2 b2 c2": "a1 b1 c1",
-    # Each misses some, and is as late as it likes.
-    "a1 b2 c1 a2 c2 b3": "a2 b2 c2",
-    "a1 a2 a3 b1 b2 b3 c2 c3": "a2 b2 c2",
-    # That the first image is whole comes later.
-    "a1 a2 b2 c2 b1 c1": "a2 b2 c2",
-}
-
-
-@pytest.mark.parametrize("answers, found", ANSWERS.items())
+@cases("""
+answers, found:
+  - [a1 b1 c1 a2 b2 c2, a1 b1 c1]
+  # Each misses some, and is as late as it likes.
+  - [a1 b2 c1 a2 c2 b3, a2 b2 c2]
+  - [a1 a2 a3 b1 b2 b3 c2 c3, a2 b2 c2]
+  # That the first image is whole comes later.
+  - [a1 a2 b2 c2 b1 c1, a2 b2 c2]
+""")
 def test_the_answers_are_those_of_the_first_image_that_all_have_answered(first, answers, found):
     assert first(answers) == found
 

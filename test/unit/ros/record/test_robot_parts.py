@@ -6,6 +6,7 @@ import pytest
 import yaml
 from bullet_lab.msg import ModelDescription
 from message_fields import message, messages
+from shared import cases
 
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import robot_parts
@@ -56,44 +57,40 @@ def named(names):
     return [model for name in names.split() for model in MODELS if model.name == name]
 
 
-# The models, the name that is asked for, what can be driven, whether the model may be of the
-# world file, and which is chosen.
-CHOICES = """
-- [wall box lamp cart, "", /go, false, cart]
-- [wall box lamp, "", /go, false, lamp]
-- [wall box, "", /go, false, box]
-- [cart rover, rover, /go /rover/go, false, rover]
-- [cart wall, wall, /go, false, wall]
-- [wall, "", /go, false, null]
-- [cart, rover, /go, false, null]
-- [lamp tb_2 tb_0, "", /0 /2, false, tb_0]
-- [wall a_statue a_door mover, "", /go, false, null]
-- [wall a_statue a_door mover, "", /go, true, mover]
-- [wall a_statue a_door mover box, "", /go, true, box]
-# A controller may drive it, whose topic no plugin names.
-- [wall a_statue a_door, "", /base/go, true, a_door]
-- [wall a_statue a_door mover, "", "", true, null]
-"""
-
-
-@pytest.mark.parametrize("models, name, driven, of_world, chosen", yaml.safe_load(CHOICES))
+@cases("""
+models, name, driven, of_world, chosen:
+  # The models, the name that is asked for, what can be driven, whether the model may be of the
+  # world file, and which is chosen.
+  - [wall box lamp cart, "", /go, false, cart]
+  - [wall box lamp, "", /go, false, lamp]
+  - [wall box, "", /go, false, box]
+  - [cart rover, rover, /go /rover/go, false, rover]
+  - [cart wall, wall, /go, false, wall]
+  - [wall, "", /go, false, null]
+  - [cart, rover, /go, false, null]
+  - [lamp tb_2 tb_0, "", /0 /2, false, tb_0]
+  - [wall a_statue a_door mover, "", /go, false, null]
+  - [wall a_statue a_door mover, "", /go, true, mover]
+  - [wall a_statue a_door mover box, "", /go, true, box]
+  # A controller may drive it, whose topic no plugin names.
+  - [wall a_statue a_door, "", /base/go, true, a_door]
+  - [wall a_statue a_door mover, "", "", true, null]
+""")
 def test_the_robot_is_one_that_can_be_driven(models, name, driven, of_world, chosen):
     found = choose(named(models), name, driven.split(), of_world)
     assert getattr(found, "name", None) == chosen
 
 
-# The robot, the other models, topics of velocities and of odometry, and those of the robot.
-TOPICS = """
-- [rover, cart, /go /rover/go, /odom /rover/odom, /rover/go, /rover/odom]
-# A controller drives where no plugin names a topic.
-- [husky, "", /base/cmd_vel, /odom /truth, /base/cmd_vel, /odom]
-# The odometry is that of the plugin that drives.
-- [two, "", /cmd/vel, /cmd/odom /driven, /cmd/vel, /driven]
-- [cart, wall, "", "", "", ""]
-"""
-
-
-@pytest.mark.parametrize("name, others, driven, told, drive, odometry", yaml.safe_load(TOPICS))
+@cases("""
+name, others, driven, told, drive, odometry:
+  # The robot, the other models, topics of velocities and of odometry, and those of the robot.
+  - [rover, cart, /go /rover/go, /odom /rover/odom, /rover/go, /rover/odom]
+  # A controller drives where no plugin names a topic.
+  - [husky, "", /base/cmd_vel, /odom /truth, /base/cmd_vel, /odom]
+  # The odometry is that of the plugin that drives.
+  - [two, "", /cmd/vel, /cmd/odom /driven, /cmd/vel, /driven]
+  - [cart, wall, "", "", "", ""]
+""")
 def test_topics_of_the_robot(name, others, driven, told, drive, odometry):
     (model,) = named(name)
     now = master({"/light": "std_msgs/Bool"}, {"/base/other": "std_msgs/Bool"})
@@ -109,7 +106,7 @@ def test_topics_of_another_robot_are_not_its_own():
     assert set(topics_of(cart, [rover], published)) == {"/odom", "/joint_states"}
 
 
-@pytest.mark.parametrize("name", ["cart", "mover"])
+@cases("name: [cart, mover]")
 def test_warnings_of_the_world_are_left_out(name):
     own = (f"model '{name}': odd", f"model_xml of '{name}': odder")
     (model,) = named(name)
@@ -163,18 +160,16 @@ def find(monkeypatch, clock, name, coming):
     return find_robot(name, launched).name, clock.now - start
 
 
-# The name that is asked for, when models come, whether they are of the world file, which of them
-# is taken, and within what time (s).
-COMING = """
-- ["", {tb3_1: [5, false], tb3_0: [6, false]}, tb3_0, 12]
-- [tb3_1, {tb3_1: [5, false], tb3_0: [6, false]}, tb3_1, 120]
-# A robot of the world file waits for others.
-- ["", {robot: [0, true]}, robot, 120]
-- ["", {robot: [0, true], spawned: [15, false]}, spawned, 120]
-"""
-
-
-@pytest.mark.parametrize("name, coming, taken, within", yaml.safe_load(COMING))
+@cases("""
+name, coming, taken, within:
+  # The name that is asked for, when models come, whether they are of the world file, which of them
+  # is taken, and within what time (s).
+  - ["", {tb3_1: [5, false], tb3_0: [6, false]}, tb3_0, 12]
+  - [tb3_1, {tb3_1: [5, false], tb3_0: [6, false]}, tb3_1, 120]
+  # A robot of the world file waits for others.
+  - ["", {robot: [0, true]}, robot, 120]
+  - ["", {robot: [0, true], spawned: [15, false]}, spawned, 120]
+""")
 def test_the_choice_waits_until_all_are_there(monkeypatch, clock, name, coming, taken, within):
     found, when = find(monkeypatch, clock, name, coming)
     assert (found, when < within) == (taken, True)
@@ -186,31 +181,27 @@ def test_nothing_comes(monkeypatch, clock):
         find(monkeypatch, clock, "cart", {"robot": (0, True)})
 
 
-ARGUMENTS = """
-"": []
-"a:=1 b=2": ["a:=1", "b:=2"]
-"world:='a b=c'": ["world:=a b=c"]
-"""
-
-
-@pytest.mark.parametrize("text, found", yaml.safe_load(ARGUMENTS).items())
+@cases("""
+text, found:
+  "": []
+  "a:=1 b=2": ["a:=1", "b:=2"]
+  "world:='a b=c'": ["world:=a b=c"]
+""")
 def test_arguments_of_a_launch_file(text, found):
     assert assignments(text) == found
 
 
-# Logs and the reason that they have.
-REASONS = r"""
-"logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n":
-  "Resource not found: lidar"
-"start\nRLException: while processing a.launch:\nno b\nd":
-  "RLException: while processing a.launch: no b"
-"Error:\n": "Error:"
-"done\n": done
-"": no output
-"""
-
-
-@pytest.mark.parametrize("log, reason", yaml.safe_load(REASONS).items())
+@cases(r"""
+log, reason:
+  # Logs and the reason that they have.
+  "logging to x\n\x1b[31mResource not found: lidar\nROS path [0]=/x\x1b[0m\nThe traceback\n":
+    "Resource not found: lidar"
+  "start\nRLException: while processing a.launch:\nno b\nd":
+    "RLException: while processing a.launch: no b"
+  "Error:\n": "Error:"
+  "done\n": done
+  "": no output
+""")
 def test_why_a_launch_file_has_ended(log, reason):
     assert reason_in(log) == reason
 
@@ -270,9 +261,12 @@ Homepage: https://wiki.ros.org/geometry2
 """
 
 
-@pytest.mark.parametrize(
-    "package, found", [("tf", "tf-tools"), ("tf2_ros", "tf2-tools"), ("amcl", "")]
-)
+@cases("""
+package, found:
+  - [tf, tf-tools]
+  - [tf2_ros, tf2-tools]
+  - [amcl, ""]
+""")
 def test_the_debian_package_of_a_ros_package(monkeypatch, tmp_path, package, found):
     def run(command, **_):
         shown = [part for part in APT.split("\n\n") if part.split()[1] in command]

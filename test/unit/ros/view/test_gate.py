@@ -3,6 +3,7 @@
 import msgspec
 import pytest
 import yaml
+from shared import cases
 
 from bullet_lab.ros.view.page import MAX_MESSAGE_BYTES, Gate, is_valid_message
 
@@ -13,48 +14,48 @@ def read(text):
     return yaml.safe_load(text)
 
 
-@pytest.mark.parametrize(
-    "target, path, headers",
-    read(
-        """
-        - [/secret/, /, {Host: "localhost:8080"}]
-        - [/secret, "", {Host: "localhost:8080"}]
-        - ["/secret/?a=b", /, {Host: "localhost:8080"}]
-        - - /secret/drive
-          - /drive
-          - {Host: "localhost:8080", Upgrade: websocket, Origin: "http://localhost:8080"}
-        # The other end of a forwarded port has a number of its own.
-        - [/secret, "", {Host: "127.0.0.1:9", Origin: "http://127.0.0.1:9"}]
-        - [/secret, "", {Host: "[::1]:9", Origin: "http://[::1]:9"}]
-        """
-    ),
-)
+@cases("""
+target, path, headers:
+  - [/secret/, /, {Host: "localhost:8080"}]
+  - [/secret, "", {Host: "localhost:8080"}]
+  - ["/secret/?a=b", /, {Host: "localhost:8080"}]
+  - - /secret/drive
+    - /drive
+    - {Host: "localhost:8080", Upgrade: websocket, Origin: "http://localhost:8080"}
+  # The other end of a forwarded port has a number of its own.
+  - [/secret, "", {Host: "127.0.0.1:9", Origin: "http://127.0.0.1:9"}]
+  - [/secret, "", {Host: "[::1]:9", Origin: "http://[::1]:9"}]
+""")
 def test_who_knows_the_token_and_comes_from_here_is_let_in(target, path, headers):
     assert GATE.path(target, headers) == path
 
 
-@pytest.mark.parametrize("target", ["/", "", "/guess/", "/secre/", "/secrets/", "//secret/"])
+@cases("""
+target:
+  - /
+  - ""
+  - /guess/
+  - /secre/
+  - /secrets/
+  - //secret/
+""")
 def test_another_token_is_refused(target):
     assert GATE.path(target, {"Host": "localhost:8080"}) is None
 
 
-@pytest.mark.parametrize(
-    "headers",
-    read(
-        """
-        - {}
-        - {Host: "localhost:8080", Upgrade: websocket}
-        - {Host: "localhost:8080", Upgrade: websocket, Origin: "http://evil.example"}
-        - {Host: "localhost:8080", Upgrade: websocket, Origin: "http://localhost:8081"}
-        - {Host: "localhost:8080", Upgrade: websocket, Origin: "null"}
-        - {Host: "localhost:8080", Origin: "http://evil.example"}
-        - {Host: evil.example}
-        - {Host: evil.example, Origin: "http://evil.example"}
-        - {Host: "localhost.evil.example:8080"}
-        - {Host: "[::1"}
-        """
-    ),
-)
+@cases("""
+headers:
+  - {}
+  - {Host: "localhost:8080", Upgrade: websocket}
+  - {Host: "localhost:8080", Upgrade: websocket, Origin: "http://evil.example"}
+  - {Host: "localhost:8080", Upgrade: websocket, Origin: "http://localhost:8081"}
+  - {Host: "localhost:8080", Upgrade: websocket, Origin: "null"}
+  - {Host: "localhost:8080", Origin: "http://evil.example"}
+  - {Host: evil.example}
+  - {Host: evil.example, Origin: "http://evil.example"}
+  - {Host: "localhost.evil.example:8080"}
+  - {Host: "[::1"}
+""")
 def test_another_origin_or_name_is_refused(headers):
     assert GATE.path("/secret/", headers) is None
 
@@ -64,17 +65,13 @@ def test_each_gate_has_a_token_of_its_own():
     assert len(Gate().token) >= 20
 
 
-@pytest.mark.parametrize(
-    "message",
-    read(
-        """
-        - {type: GuiUpdateMessage, uuid: a, updates: {value: 0.5}}
-        - {type: GuiUpdateMessage, uuid: a, updates: {value: /cmd_vel}}
-        - {type: GuiUpdateMessage, uuid: a, updates: {value: true}}
-        - {type: X, at: [0.0]}
-        """
-    ),
-)
+@cases("""
+message:
+  - {type: GuiUpdateMessage, uuid: a, updates: {value: 0.5}}
+  - {type: GuiUpdateMessage, uuid: a, updates: {value: /cmd_vel}}
+  - {type: GuiUpdateMessage, uuid: a, updates: {value: true}}
+  - {type: X, at: [0.0]}
+""")
 def test_messages_of_a_page_are_accepted(message):
     assert is_valid_message(msgspec.msgpack.encode(message))
 

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 from geometry_msgs.msg import Twist, Vector3
+from shared import cases
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -90,7 +91,7 @@ def test_the_page_comes_with_the_pad_and_may_load_nothing_from_elsewhere(shown):
         assert nonce not in answer.read()
 
 
-@pytest.mark.parametrize("headers", [{}, {"Accept-Encoding": "gzip"}])
+@cases("headers: [{}, {Accept-Encoding: gzip}]")
 def test_a_request_is_answered_whatever_encodings_it_accepts(shown, headers):
     scheme, _, host, path = shown.page.url.split("/", 3)
     connection = http.client.HTTPConnection(host)
@@ -111,8 +112,12 @@ def test_there_is_nothing_without_the_token(shown):
         connect(shown.origin.replace("http", "ws", 1) + "/drive", origin=shown.origin)
 
 
-@pytest.mark.parametrize("path", ["", "tab/drive"])
-@pytest.mark.parametrize("origin", [None, "http://evil.example"])
+@cases("""
+path:
+  - ""
+  - tab/drive
+""")
+@cases("origin: [null, http://evil.example]")
 def test_there_is_no_socket_from_elsewhere(shown, path, origin):
     with pytest.raises(InvalidStatus):
         shown.socket(path, origin=origin)

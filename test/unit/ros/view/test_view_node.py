@@ -2,14 +2,14 @@
 
 from unittest import mock
 
-import pytest
+from shared import cases
 
 from bullet_lab.ros.view import node
 
 TICK = 1.0 / 30.0
 
 
-@pytest.mark.parametrize("seconds_of_an_update", [0.1, 2.0])
+@cases("seconds_of_an_update: [0.1, 2.0]")
 def test_topics_are_updated_each_second_however_long_an_update_takes(
     monkeypatch, clock, seconds_of_an_update
 ):

@@ -5,6 +5,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 import trimesh
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.view.scene import PIECE, Nodes, Solids, floor_point, glb_of
@@ -95,7 +96,7 @@ def test_labels_follow_and_go(scene):
     assert (node.text, node.position) == ("more", (1.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
+@cases("side: [1.0, -1.0]")
 def test_a_ray_that_does_not_meet_the_floor_meets_nothing(side):
     assert floor_point((0.0, 0.0, side), (1.0, 0.0, 0.1 * side)) is None
 

@@ -11,6 +11,7 @@ from alike import assert_alike, assert_as_before, lines_of
 from contact_forces import pressures
 from heap import bytes_kept
 from rovers import even_inertia, wheels
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import PhysicsError, pybullet
@@ -229,7 +230,7 @@ def half_height(geometry):
     return 0.5 * (geometry.size[2] if isinstance(geometry, Box) else geometry.scale[2])
 
 
-@pytest.mark.parametrize(("seed", "static"), [(0, True), (1, False), (2, True), (3, False)])
+@cases("seed, static: [[0, true], [1, false], [2, true], [3, false]]")
 def test_every_shape_of_random_trees_acts_and_is_named(space, cube, seed, static):
     model = replace(some_tree(random.Random(seed), cube), static=static)
     instance = space.add(model)
@@ -274,7 +275,7 @@ def push(space, body, effort, seconds):
     return body.joint_state("j")
 
 
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@cases("kind: [revolute, prismatic]")
 def test_joints_with_friction_limits_and_motors_move_as_before(space, kind):
     told = []
     for name, case in yaml.safe_load((HERE / "motions.yaml").read_text()).items():
@@ -313,7 +314,7 @@ def test_a_random_joint_moves_as_it_is_described(space, seed):
     assert found.position == pytest.approx(sign * position, rel=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@cases("kind: [revolute, prismatic]")
 def test_a_damper_of_any_strength_between_light_links_does_not_swing_up(space, kind):
     """The joint turns about the thin axis of the rod that carries it."""
     rod, ball = (Inertia(1.0, (0, 0, 0), np.diag(d)) for d in ((0.1, 0.1, 1e-3), (0.2, 0.2, 0.2)))
@@ -355,14 +356,12 @@ def feet(shape, **properties):
 WIDE = even_inertia(2.0, 0.2)
 
 
-HELPERS = """
-- [false, 0.2, 1.0]
-- [true, 0.5, 0.05]
-- [true, 0.2, 0.2]
-"""
-
-
-@pytest.mark.parametrize("meshed, friction, others", yaml.safe_load(HELPERS))
+@cases("""
+meshed, friction, others:
+  - [false, 0.2, 1.0]
+  - [true, 0.5, 0.05]
+  - [true, 0.2, 0.2]
+""")
 def test_a_helper_stands_and_slides_as_its_shape_alone(hall, cube, meshed, friction, others):
     """A body that stands on the seventeenth of its shapes, on a floor with friction 1.
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from sensor_worlds import box
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics.rays import Fan
@@ -34,7 +35,7 @@ def inside(shape, frame, point):
     return max(shape._gaps((frame * Pose(tuple(point))).position)) < 0.0
 
 
-@pytest.mark.parametrize("nearest", [0.0, 0.5])
+@cases("nearest: [0.0, 0.5]")
 @pytest.mark.parametrize("seed", range(8))
 def test_a_ray_ends_at_the_first_surface_that_it_meets(seed, nearest):
     random = np.random.default_rng(seed)
@@ -67,7 +68,7 @@ def test_a_ray_ends_at_the_first_surface_that_it_meets(seed, nearest):
 
 
 # Bullet is asked of few rays.
-@pytest.mark.parametrize("repeat", [1, 10])
+@cases("repeat: [1, 10]")
 def test_what_is_nearer_is_seen_of_a_mesh_and_a_box(tmp_path, repeat):
     path = tmp_path / "roof.obj"
     # A roof along y, its ridge 1 m above its eaves, over x from -1 to 1.

@@ -3,8 +3,8 @@
 import math
 
 import pytest
-import yaml
 from rovers import G, even_inertia
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
@@ -34,31 +34,27 @@ def slowing(floor, *shapes, heading=0.0, towards=0.0, coulomb=False):
         return (2.0 - (vx * along[0] + vy * along[1])) / (0.1 * G)
 
 
-FRICTIONS = """
-- [0.1, 1.0, 0.1]
-- [0.4, 50.0, 0.4]
-- [1.0, 0.3, 0.3]
-- [0.0, 100.0, 0.0]
-"""
-
-
-@pytest.mark.parametrize("one, floor, smaller", yaml.safe_load(FRICTIONS))
+@cases("""
+one, floor, smaller:
+  - [0.1, 1.0, 0.1]
+  - [0.4, 50.0, 0.4]
+  - [1.0, 0.3, 0.3]
+  - [0.0, 100.0, 0.0]
+""")
 def test_the_smaller_friction_counts(one, floor, smaller):
     shape = Collision(Box((0.3, 0.3, 0.2)), friction=one)
     assert slowing(floor, shape) == pytest.approx(smaller, abs=0.01)
 
 
-DIRECTIONS = """
-- [0, 0, 0, 0.1]
-- [0, 0, 1, 0.6]
-- [1, 0, 1, 0.1]
-- [1, 0, 2, 0.6]
-- [0, 1, 1, 0.1]
-- [1, 1, 2, 0.1]
-"""
-
-
-@pytest.mark.parametrize("heading, turned, towards, friction", yaml.safe_load(DIRECTIONS))
+@cases("""
+heading, turned, towards, friction:
+  - [0, 0, 0, 0.1]
+  - [0, 0, 1, 0.6]
+  - [1, 0, 1, 0.1]
+  - [1, 0, 2, 0.6]
+  - [0, 1, 1, 0.1]
+  - [1, 1, 2, 0.1]
+""")
 def test_a_direction_of_friction_is_that_of_the_shape(heading, turned, towards, friction):
     """Turns are quarters; it turns with the shape in its link."""
     pose = Pose.from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 0.5 * math.pi * turned))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from contact_forces import pressures
 from rovers import Drive, G, Rover, coulomb_twist, even_inertia
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.models import change_link, find_link
@@ -61,7 +62,7 @@ def test_what_is_fast_is_also_kept_on_its_arc():
     assert twist == pytest.approx(law + law[2] * np.array((y, -x, 0.0)), rel=0.01, abs=2e-3)
 
 
-@pytest.mark.parametrize(("one", "other", "rolled"), [(0.4, 1.0, 0.7), (0.8, 0, 2)])
+@cases("one, other, rolled: [[0.4, 1.0, 0.7], [0.8, 0, 2]]")
 def test_with_other_friction_along_than_across(one, other, rolled):
     """The second direction of a wheel whose first turns with it is along its axle."""
     directed = {"friction": one, "cross_friction": other, "direction": (1.0, 0.0, 0.0)}
@@ -132,7 +133,7 @@ def test_against_a_wall_it_pushes_with_its_torque_and_stays():
     assert pressing == pytest.approx(4 * 0.5 / 0.1, rel=0.02)
 
 
-@pytest.mark.parametrize("mass", [0.3, 30.0])
+@cases("mass: [0.3, 30.0]")
 def test_what_it_stands_on_gets_the_opposite_of_its_friction(mass):
     plate = thing(mass, (2.0, 2.0, 0.02), Pose((0.0, 0.0, 0.01)), friction=1.0)
     with Drive(Rover(), models=[plate], friction=0.0) as drive:

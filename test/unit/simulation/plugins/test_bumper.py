@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from sensor_worlds import box, record, thing
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import Box, Collision, Mesh
@@ -90,7 +90,7 @@ def test_shapes_beyond_what_the_engine_takes_at_once_are_felt(world):
     assert contact.first == "crate::base::bottom"
 
 
-@pytest.mark.parametrize(("height", "near"), [(0.1005, True), (1.0, False)])
+@cases("height, near: [[0.1005, true], [1.0, false]]")
 def test_what_is_merely_near_is_not_touched(world, height, near):
     # Bullet knows of the floor 0.5 mm below.
     samples, robot = run(world, bumper(rate=1000), 0.001, pose=Pose((0, 0, height)))
@@ -114,16 +114,14 @@ def test_shapes_of_one_link_are_told_apart(world):
     assert hit.positions[0] == pytest.approx((0.141, 0, 0.1), abs=3e-3)
 
 
-WATCHED = """
-- [base_fixed_joint_lump__nose_collision_1, false]
-- [nose_collision, false]
-- [nose, false]
-- [base_collision, true]
-- [base, true]
-"""
-
-
-@pytest.mark.parametrize("name, watched", yaml.safe_load(WATCHED))
+@cases("""
+name, watched:
+  - [base_fixed_joint_lump__nose_collision_1, false]
+  - [nose_collision, false]
+  - [nose, false]
+  - [base_collision, true]
+  - [base, true]
+""")
 def test_only_the_named_shapes_are_watched(world, name, watched, caplog):
     assert bool(run(world, bumper([name]))[0][-1].contacts) == watched
     # Of the others, Gazebo would report nothing.

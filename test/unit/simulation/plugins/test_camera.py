@@ -4,9 +4,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-import yaml
 from picture_worlds import checkers, plate, simulation_of, thing, write_plate
 from sensor_worlds import record, steps
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import Camera, CameraSettings
@@ -105,13 +105,11 @@ def test_nothing_is_drawn_for_nobody(wall, monkeypatch):
     assert len(drawn) == 3
 
 
-FORMATS = """
-- [B8G8R8, bgr8, [76, 102, 128]]
-- [L8, mono8, 106.81]
-"""
-
-
-@pytest.mark.parametrize("name, encoding, levels", yaml.safe_load(FORMATS))
+@cases("""
+name, encoding, levels:
+  - [B8G8R8, bgr8, [76, 102, 128]]
+  - [L8, mono8, 106.81]
+""")
 def test_formats(wall, name, encoding, levels):
     robot, _ = add(wall, format=name)
     images = record(robot, "image_raw")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from picture_worlds import simulation_of, thing
 from sensor_worlds import record, steps
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.camera import DepthCamera
@@ -59,9 +60,7 @@ def world(*models):
 # The closed form
 
 
-@pytest.mark.parametrize(
-    ("yaw", "distance", "error"), [(0.7, 0.5, 1e-4), (0.0, 2.0, 3e-4), (-0.4, 4.5, 6e-4)]
-)
+@cases("yaw, distance, error: [[0.7, 0.5, 0.0001], [0.0, 2.0, 0.0003], [-0.4, 4.5, 0.0006]]")
 def test_depth_of_an_oblique_wall(yaw, distance, error):
     model, normal = wall(distance, yaw)
     x, _ = rays()
@@ -113,7 +112,7 @@ def test_a_distorted_pixel_has_the_depth_of_what_it_shows():
 # Names and tags
 
 
-@pytest.mark.parametrize(("plugin", "seen"), [("openni_kinect", False), ("depth_camera", True)])
+@cases("plugin, seen: [[openni_kinect, false], [depth_camera, true]]")
 def test_how_far_each_plugin_sees_by_default(plugin, seen):
     assert np.isfinite(measured(wall(6.0, 0.0)[0], plugin=plugin)).all() == seen
 

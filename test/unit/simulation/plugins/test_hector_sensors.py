@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import yaml
 from noise_checks import check_normal
 from sensor_worlds import (
     box,
@@ -18,6 +17,7 @@ from sensor_worlds import (
     steps,
     table,
 )
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 
@@ -123,18 +123,16 @@ def sonar(tags, wall=1.0, topic="sonar", seconds=0.4):
     return readings(carrier(eye), topic, seconds, [box("1 9 9", f"{wall + 0.5} 0 0 0 0 0")])
 
 
-SONARS = """
-- [{}, 1.0, 1.0]
-- [{offset: 0.2, scaleError: 1.5}, 1.0, 1.7]
-- [{offset: 9}, 1.0, 4.0]
-- [{offset: -9}, 1.0, 0.1]
-# Without a hit there is no error.
-- [{offset: -0.5}, 5.0, 4.0]
-- [{}, 0.05, 0.1]
-"""
-
-
-@pytest.mark.parametrize("tags, wall, reading", yaml.safe_load(SONARS))
+@cases("""
+tags, wall, reading:
+  - [{}, 1.0, 1.0]
+  - [{offset: 0.2, scaleError: 1.5}, 1.0, 1.7]
+  - [{offset: 9}, 1.0, 4.0]
+  - [{offset: -9}, 1.0, 0.1]
+  # Without a hit there is no error.
+  - [{offset: -0.5}, 5.0, 4.0]
+  - [{}, 0.05, 0.1]
+""")
 def test_a_sonar_reads_the_nearest_hit_within_its_range(tags, wall, reading):
     samples = sonar(tags, wall)
     assert [sample.range for sample in samples] == pytest.approx([reading] * 4)

@@ -1,7 +1,7 @@
 """What the drives have in common, and the friction of planar_move."""
 
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.mobile_base import SupportPatch
@@ -37,15 +37,13 @@ def test_odometry_is_of_the_model_and_not_of_its_first_link(world, plugin, wheel
     assert robot.plugins[0].frames[0] == told[-1].frame
 
 
-SLOW = """
-- [0.001, 0, 0]
-- [0, -0.001, 0]
-- [0, 0, 0.01]
-- [0.001, 0.001, -0.01]
-"""
-
-
-@pytest.mark.parametrize("slow", yaml.safe_load(SLOW))
+@cases("""
+slow:
+  - [0.001, 0, 0]
+  - [0, -0.001, 0]
+  - [0, 0, 0.01]
+  - [0.001, 0.001, -0.01]
+""")
 def test_friction_stops_and_never_reverses(slow):
     assert BLOCK.slow_down(*slow, 100 * LOAD, DT) == (0, 0, 0)
 

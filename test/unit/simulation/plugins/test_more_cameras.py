@@ -5,10 +5,9 @@ import math
 import cv2
 import numpy as np
 import pytest
-import yaml
 from picture_worlds import simulation_of, thing
 from sensor_worlds import carrier, record, saved_again, sensor, steps
-from shared import complains
+from shared import cases, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import Trigger
@@ -161,18 +160,16 @@ def radius(kind, angle, fov, c2=1.0, c3=0.0):
 WIDTH = 401
 
 
-LENSES = """
-- [gnomonical, 2.4, [0.1, 0.7, 1.0], 1.57, '']
-- [stereographic, 3.141592653589793, [0.1, 0.7, 0.9, 1.4], 1.57, '']
-- [equidistant, 3.141592653589793, [0.1, 0.75, 0.9, 1.4], 1.57, '']
-- [equisolid_angle, 4.0, [0.2, 0.9, 1.8], 2.0, '']
-- [orthographic, 2.8, [0.1, 0.7, 1.2], 1.57, '']
-- [custom, 6.283185307179586, [0.2, 0.9, 1.6, 2.3, 2.6], 3.1415,
-   <custom_function><c1>1.05</c1><c2>4</c2><f>1</f><fun>tan</fun></custom_function>]
-"""
-
-
-@pytest.mark.parametrize("kind, fov, angles, cutoff, more", yaml.safe_load(LENSES))
+@cases("""
+kind, fov, angles, cutoff, more:
+  - [gnomonical, 2.4, [0.1, 0.7, 1.0], 1.57, '']
+  - [stereographic, 3.141592653589793, [0.1, 0.7, 0.9, 1.4], 1.57, '']
+  - [equidistant, 3.141592653589793, [0.1, 0.75, 0.9, 1.4], 1.57, '']
+  - [equisolid_angle, 4.0, [0.2, 0.9, 1.8], 2.0, '']
+  - [orthographic, 2.8, [0.1, 0.7, 1.2], 1.57, '']
+  - [custom, 6.283185307179586, [0.2, 0.9, 1.6, 2.3, 2.6], 3.1415,
+     <custom_function><c1>1.05</c1><c2>4</c2><f>1</f><fun>tan</fun></custom_function>]
+""")
 def test_a_point_is_where_the_lens_function_maps_it(kind, fov, angles, cutoff, more):
     lens = f"<lens><type>{kind}</type>{more}<cutoff_angle>{cutoff}</cutoff_angle></lens>"
     robot = single("camera", "wideanglecamera", width=WIDTH, height=WIDTH, fov=fov, more=lens)
@@ -198,7 +195,7 @@ def picture_in(format):
     return sent(single(format=format), "image_raw", things=[TARGET, back])[0][0]
 
 
-@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GBRG", "GRBG"])
+@cases("pattern: [RGGB, BGGR, GBRG, GRBG]")
 def test_bayer_has_one_colour_in_a_pixel(pattern):
     colours, mosaic = picture_in("R8G8B8").pixels, picture_in(f"BAYER_{pattern}8")
     assert mosaic.encoding == f"bayer_{pattern.lower()}8"
@@ -209,15 +206,13 @@ def test_bayer_has_one_colour_in_a_pixel(pattern):
     assert len(np.unique(mosaic.pixels)) > 2
 
 
-FORMATS = """
-- [L16, mono16, L8, 257]
-- [R16G16B16, rgb16, R8G8B8, 257]
-- [RGB_INT8, rgb8, R8G8B8, 1]
-- [L_INT8, mono8, L8, 1]
-"""
-
-
-@pytest.mark.parametrize("format, encoding, plain, factor", yaml.safe_load(FORMATS))
+@cases("""
+format, encoding, plain, factor:
+  - [L16, mono16, L8, 257]
+  - [R16G16B16, rgb16, R8G8B8, 257]
+  - [RGB_INT8, rgb8, R8G8B8, 1]
+  - [L_INT8, mono8, L8, 1]
+""")
 def test_other_formats(format, encoding, plain, factor):
     found, eight = picture_in(format), picture_in(plain)
     assert found.encoding == encoding

@@ -3,8 +3,8 @@
 import math
 
 import pytest
-import yaml
 from sensor_worlds import record, saved_again
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
@@ -50,14 +50,12 @@ def where(simulation, seconds):
     return (*pose.position, pose.yaw)
 
 
-PLACES = """
-# Straight with the tension 1: it speeds up and slows down.
-- [{}, {1: [1, 0, 0, 0], 2.5: [2, 0, 0, 1.55], 4: [1, 0, 0, 3.1], 6: [1, 0, 0, 0]}]
-- [{delay_start: 1}, {0.9: [5, 5, 0, 0], 2: [1, 0, 0, 0], 3.5: [2, 0, 0, 1.55]}]
-"""
-
-
-@pytest.mark.parametrize("tags, places", yaml.safe_load(PLACES))
+@cases("""
+tags, places:
+  # Straight with the tension 1: it speeds up and slows down.
+  - [{}, {1: [1, 0, 0, 0], 2.5: [2, 0, 0, 1.55], 4: [1, 0, 0, 3.1], 6: [1, 0, 0, 0]}]
+  - [{delay_start: 1}, {0.9: [5, 5, 0, 0], 2: [1, 0, 0, 0], 3.5: [2, 0, 0, 1.55]}]
+""")
 def test_a_figure_walks_on_the_floor(world_of, tags, places):
     with world_of(actor(script(ACROSS, **tags))) as simulation:
         for seconds, place in places.items():

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 from sensor_worlds import box, drive, record, steps
-from shared import BLOCK_ROBOT
+from shared import BLOCK_ROBOT, cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins import PluginError
@@ -98,7 +98,7 @@ def test_commands_that_are_not_finite_are_refused_and_the_old_one_stays(world, r
     assert robot.pose().position[0] == pytest.approx(0.019, abs=1e-3)
 
 
-@pytest.mark.parametrize(("yaw", "speed"), [(0.0, 0.2), (0.7, 1.0)])
+@cases("yaw, speed: [[0.0, 0.2], [0.7, 1.0]]")
 def test_a_wall_stops_the_block(world, robot, yaw, speed):
     world.add(box("0.2 20 1", f"0.5 0 0.5 0 0 {yaw}"))
     robot.command("cmd_vel", PlanarCommand(vx=speed))

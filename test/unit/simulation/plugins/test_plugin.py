@@ -1,7 +1,7 @@
 """What all plugins have in common: their files and their namespaces."""
 
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.simulation import plugins
 from bullet_lab.simulation.plugins import Plugin, kind_of, known_plugins
@@ -26,17 +26,15 @@ SENSOR = """<gazebo reference="base"><sensor type="{}" name="s">
   </sensor></gazebo></robot>"""
 
 
-NAMESPACES = """
-- [planar_move, '', cmd_vel, '', '']
-- [joint_state_publisher, '', joint_states, /r/, /r/]
-- [laser, ray, it, '', /r/]
-- [camera, camera, it, '', /r/]
-- [imu_sensor, imu, it, /r/, '']
-- [range, ray, it, '', '']
-"""
-
-
-@pytest.mark.parametrize("name, sensor, topic, missing, empty", yaml.safe_load(NAMESPACES))
+@cases("""
+name, sensor, topic, missing, empty:
+  - [planar_move, '', cmd_vel, '', '']
+  - [joint_state_publisher, '', joint_states, /r/, /r/]
+  - [laser, ray, it, '', /r/]
+  - [camera, camera, it, '', /r/]
+  - [imu_sensor, imu, it, /r/, '']
+  - [range, ray, it, '', '']
+""")
 def test_the_namespace_without_a_tag_is_that_of_gazebos_plugin(
     name, sensor, topic, missing, empty
 ):

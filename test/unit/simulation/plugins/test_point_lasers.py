@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-import yaml
 from noise_checks import check_normal
 from sensor_worlds import box, carrier, readings, sensor
+from shared import cases
 
 ROWS, COLUMNS = 5, 24
 UP = np.radians(15.0)
@@ -122,14 +122,12 @@ def test_a_near_hit_is_at_the_least_range_in_a_block_and_no_point_of_velodyne():
     assert sample.records.shape == (1, (far > 3.5).sum())
 
 
-NAMES = """
-- [velodyne, {tf_prefix: p, namespace: ''}, points, p/base]
-- [velodyne, {tf_prefix: p, namespace: /r}, /r/points, r/base]
-- [block, {tf_prefix: p, namespace: /r}, /r/points, p/base]
-"""
-
-
-@pytest.mark.parametrize("kind, names, topic, frame", yaml.safe_load(NAMES))
+@cases("""
+kind, names, topic, frame:
+  - [velodyne, {tf_prefix: p, namespace: ''}, points, p/base]
+  - [velodyne, {tf_prefix: p, namespace: /r}, /r/points, r/base]
+  - [block, {tf_prefix: p, namespace: /r}, /r/points, p/base]
+""")
 def test_names(kind, names, topic, frame):
     bare = {"block": "/world", "velodyne": "/points"}[kind]
     for tags, expected in ((PLAIN, (topic, frame)), ("", (bare, "world"))):

@@ -2,9 +2,8 @@ import math
 
 import numpy as np
 import pytest
-import yaml
 from sensor_worlds import drive, record
-from shared import EMPTY_WORLD
+from shared import EMPTY_WORLD, cases
 
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
@@ -85,14 +84,12 @@ def test_the_wheels_of_a_side_turn_alike_with_the_torque_that_is_given(coulomb_w
     assert speeds == pytest.approx([2.0, 4.0, 2.0, 4.0], abs=0.01)
 
 
-CREEP = """
-- [2.0, 1.5, 99.6]
-- [20.0, 0.5, 83.3]
-- [60.0, 4.0, 90.8]
-"""
-
-
-@pytest.mark.parametrize("mass, wheel_mass, degrees", yaml.safe_load(CREEP))
+@cases("""
+mass, wheel_mass, degrees:
+  - [2.0, 1.5, 99.6]
+  - [20.0, 0.5, 83.3]
+  - [60.0, 4.0, 90.8]
+""")
 def test_hard_wheels_creep_by_their_load_as_in_gazebo(world, mass, wheel_mass, degrees):
     # Measured in Gazebo 11.1.0 after a leg of 1 s; without creep the bridge turns by 106 degrees.
     tags = (

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 from sensor_worlds import drive, record
+from shared import cases
 
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
@@ -25,7 +26,7 @@ def tricycle(world, package):
     return add
 
 
-@pytest.mark.parametrize("source", ["encoder", "world"])
+@cases("source: [encoder, world]")
 def test_it_drives_a_metre(world, tricycle, source):
     robot = tricycle(odometrySource=source)
     odometry = record(robot, "odom")
@@ -38,7 +39,7 @@ def test_it_drives_a_metre(world, tricycle, source):
     assert odometry[-1].pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
 
 
-@pytest.mark.parametrize("angle", [-0.5, 0.2, 0.9])
+@cases("angle: [-0.5, 0.2, 0.9]")
 def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, tricycle, angle):
     robot = tricycle()
     odometry = record(robot, "odom")

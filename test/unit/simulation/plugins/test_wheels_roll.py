@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from shared import cases
 from wheeled_robots import Robot, straight, turn
 
 # The fields of robots; friction is as small robots for Gazebo have it.
@@ -55,7 +56,7 @@ def test_a_metre_straight_and_a_turn_on_the_spot(name, tmp_path):
     assert np.hypot(spin.x, spin.y) < 5e-3
 
 
-@pytest.mark.parametrize("heading", [0.0, 45.0])
+@cases("heading: [0.0, 45.0]")
 def test_friction_in_a_direction_comes_and_goes_as_the_wheel_turns(heading):
     """Where it hardly brakes, the robot slides on at its stop: figures of Gazebo 11.1.0."""
     model = replace(SMALL, wheel_tags=f"{SMALL.wheel_tags}<fdir1>1 0 0</fdir1>").model()
@@ -67,7 +68,7 @@ def test_friction_in_a_direction_comes_and_goes_as_the_wheel_turns(heading):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("acceleration", [0.5, 0.0, 2.0])
+@cases("acceleration: [0.5, 0.0, 2.0]")
 def test_the_odometry_of_wheels_over_speeds_headings_and_accelerations(acceleration):
     """Statistics, for a robot whose wheels spin when it starts and slide when it stops."""
     model = replace(TWO_CASTERS, acceleration=acceleration).model()

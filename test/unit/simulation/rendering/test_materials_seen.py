@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from picture_worlds import COLOURS, around_the_middle, picture_of, quarters, thing
 from PIL import Image
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering import drawables
@@ -60,47 +60,45 @@ SHAPES = {
     "cylinder": Cylinder(0.5, 1.0),
     "ball": Sphere(0.7),
 }
-# The place of the eye, its roll, pitch and yaw in quarters of a turn, how far from the middle it
-# looks, in pixels, and the colours there, upright or upside down.
-LYING = """
-- [box, [-3, 0, 0], [0, 0, 0], 30, &upright [0, 1, 2, 3]]
-- [box, [3, 0, 0], [0, 0, 2], 30, *upright]
-- [box, [0, -3, 0], [0, 0, 1], 30, *upright]
-- [box, [0, 3, 0], [0, 0, -1], 30, *upright]
-# With x upwards, and with -x.
-- [box, [0, 0, 3], [0, 1, 0], 30, *upright]
-- [box, [0, 0, -3], [0, -1, 0], 30, *upright]
-# Seen from above with y upwards, and from ahead with z upwards.
-- [plane, [0, 0, 3], [0, 1, 1], 30, *upright]
-- [wall, [3, 0, 0], [0, 0, 2], 30, *upright]
-# A cylinder's seam is at y: half of the picture is on the other side. The picture's ends
-# meet at the seam, upside down: its right is at the left.
-- [cylinder, [0, -3, 0], [0, 0, 1], 30, [3, 2, 1, 0]]
-- [cylinder, [0, 3, 0], [0, 0, -1], 8, [2, 3, 0, 1]]
-# A ball's poles are on y; from -z, with y upwards.
-- [ball, [0, 0, -3], [-1, -1, 0], 30, *upright]
-"""
 
 
-@pytest.mark.parametrize("shape, place, turns, offset, wanted", yaml.safe_load(LYING))
+@cases("""
+shape, place, turns, offset, wanted:
+  # The place of the eye, its roll, pitch and yaw in quarters of a turn, how far from the middle it
+  # looks, in pixels, and the colours there, upright or upside down.
+  - [box, [-3, 0, 0], [0, 0, 0], 30, &upright [0, 1, 2, 3]]
+  - [box, [3, 0, 0], [0, 0, 2], 30, *upright]
+  - [box, [0, -3, 0], [0, 0, 1], 30, *upright]
+  - [box, [0, 3, 0], [0, 0, -1], 30, *upright]
+  # With x upwards, and with -x.
+  - [box, [0, 0, 3], [0, 1, 0], 30, *upright]
+  - [box, [0, 0, -3], [0, -1, 0], 30, *upright]
+  # Seen from above with y upwards, and from ahead with z upwards.
+  - [plane, [0, 0, 3], [0, 1, 1], 30, *upright]
+  - [wall, [3, 0, 0], [0, 0, 2], 30, *upright]
+  # A cylinder's seam is at y: half of the picture is on the other side. The picture's ends
+  # meet at the seam, upside down: its right is at the left.
+  - [cylinder, [0, -3, 0], [0, 0, 1], 30, [3, 2, 1, 0]]
+  - [cylinder, [0, 3, 0], [0, 0, -1], 8, [2, 3, 0, 1]]
+  # A ball's poles are on y; from -z, with y upwards.
+  - [ball, [0, 0, -3], [-1, -1, 0], 30, *upright]
+""")
 def test_where_a_picture_lies_on_a_shape(four, shape, place, turns, offset, wanted):
     eye = Pose.from_rpy(place, np.multiply(0.5 * np.pi, turns))
     picture = seen(SHAPES[shape], Texture(four), eye)
     assert quarters_seen(picture, offset) == wanted
 
 
-# Scale, scroll and rotation (rad), whether it repeats, and where which colours are seen.
-SETTINGS = """
-# Half as large, about the middle: a whole picture between the quarters of its sides.
-- [[0.5, 0.5], [0, 0], 0, true, 25, [0, 1, 2, 3]]
-- [[0.5, 0.5], [0, 0], 0, true, 75, [3, 2, 1, 0]]
-- [[0.5, 0.5], [0, 0], 0, false, 75, [0, 1, 2, 3]]
-- [[1, 1], [0.5, 0], 0, true, 30, [1, 0, 3, 2]]
-- [[1, 1], [0, 0], 3.14159, true, 30, [3, 2, 1, 0]]
-"""
-
-
-@pytest.mark.parametrize("scale, scroll, turn, repeats, offset, wanted", yaml.safe_load(SETTINGS))
+@cases("""
+scale, scroll, turn, repeats, offset, wanted:
+  # Scale, scroll and rotation (rad), whether it repeats, and where which colours are seen.
+  # Half as large, about the middle: a whole picture between the quarters of its sides.
+  - [[0.5, 0.5], [0, 0], 0, true, 25, [0, 1, 2, 3]]
+  - [[0.5, 0.5], [0, 0], 0, true, 75, [3, 2, 1, 0]]
+  - [[0.5, 0.5], [0, 0], 0, false, 75, [0, 1, 2, 3]]
+  - [[1, 1], [0.5, 0], 0, true, 30, [1, 0, 3, 2]]
+  - [[1, 1], [0, 0], 3.14159, true, 30, [3, 2, 1, 0]]
+""")
 def test_scale_tiles_and_scroll_shifts(four, scale, scroll, turn, repeats, offset, wanted):
     texture = Texture(four, tuple(scale), tuple(scroll), turn, repeats=repeats)
     picture = seen(Box((1.0, 1.0, 1.0)), texture)
@@ -135,9 +133,7 @@ def in_light(visual, *behind, light=AHEAD):
     return picture_of(model, *behind, eye=EYE, ambient=DIM, lights=(light,))[240, 320] / 255
 
 
-@pytest.mark.parametrize(
-    ("shine", "specular", "red"), [(0.1, 0.2, 5), (0.1, 0.0, 0), (0.0, 0.2, 0)]
-)
+@cases("shine, specular, red: [[0.1, 0.2, 5], [0.1, 0.0, 0], [0.0, 0.2, 0]]")
 def test_wide_highlights_of_a_sun(shine, specular, red):
     # Gazebo 11.1 shows Gazebo/Blue as (4, 4, 255) in the sun; a sun's specular is 0.2 there.
     plate = Visual(BOX, colour=(0.0, 0.0, 1.0, 1.0), material=Material(shine=shine))
@@ -145,16 +141,14 @@ def test_wide_highlights_of_a_sun(shine, specular, red):
     assert in_light(plate, light=light)[:2].tolist() == [red / 255, red / 255]
 
 
-# Ambient and emissive colour, and whether it is lit; what is seen.
-LOOKS = """
-- [null, [0.0, 0.0, 0.0, 1.0], true, [0.45, 0.0, 0.9]]
-- [[0.0, 1.0, 0.5, 1.0], [0.0, 0.0, 0.0, 1.0], true, [0.25, 0.4, 0.7]]
-- [null, [0.2, 0.1, 0.0, 1.0], true, [0.65, 0.1, 0.9]]
-- [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0], false, [0.5, 0.0, 1.0]]
-"""
-
-
-@pytest.mark.parametrize("ambient, emissive, lit, wanted", yaml.safe_load(LOOKS))
+@cases("""
+ambient, emissive, lit, wanted:
+  # Ambient and emissive colour, and whether it is lit; what is seen.
+  - [null, [0.0, 0.0, 0.0, 1.0], true, [0.45, 0.0, 0.9]]
+  - [[0.0, 1.0, 0.5, 1.0], [0.0, 0.0, 0.0, 1.0], true, [0.25, 0.4, 0.7]]
+  - [null, [0.2, 0.1, 0.0, 1.0], true, [0.65, 0.1, 0.9]]
+  - [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0], false, [0.5, 0.0, 1.0]]
+""")
 def test_ambient_and_emissive_colours(tmp_path, ambient, emissive, lit, wanted):
     material = Material(ambient and tuple(ambient), tuple(emissive), lit=lit)
     visual = Visual(Box((0.1, 1.0, 1.0)), colour=(0.5, 0.0, 1.0, 1.0), material=material)
@@ -237,7 +231,12 @@ def collada_seen(
     return np.array([picture[spot] for spot in spots], int), picture[240, 400] / 255
 
 
-@pytest.mark.parametrize("named", ["../quarters.png", "quarters.png", "C:\\own\\quarters.png"])
+@cases(r"""
+named:
+  - ../quarters.png
+  - quarters.png
+  - C:\own\quarters.png
+""")
 def test_collada_with_a_picture_and_with_a_colour(tmp_path, four, named):
     if named != "../quarters.png":
         # Where Gazebo's models have them.
@@ -258,16 +257,14 @@ def test_a_visuals_material_covers_that_of_its_mesh(tmp_path, four):
     assert right == pytest.approx((0.0, 0.9, 0.0), abs=0.01)
 
 
-BROKEN = """
-- [<asset>, <asset>, 'two.dae: ''meshes/gone.png'': no such file']
-- ['<init_from>{picture}</init_from>', '', 'two.dae: ''meshes/i'': no such file']
-- ['<init_from>{picture}</init_from>', <init_from/>, 'two.dae: ''meshes/i'': no such file']
-- [<instance_effect url="#e0"/>, <instance_effect url="#gone"/>, '']
-- [target="#m0", target="#gone", '']
-"""
-
-
-@pytest.mark.parametrize("old, new, said", yaml.safe_load(BROKEN))
+@cases("""
+old, new, said:
+  - [<asset>, <asset>, 'two.dae: ''meshes/gone.png'': no such file']
+  - ['<init_from>{picture}</init_from>', '', 'two.dae: ''meshes/i'': no such file']
+  - ['<init_from>{picture}</init_from>', <init_from/>, 'two.dae: ''meshes/i'': no such file']
+  - [<instance_effect url="#e0"/>, <instance_effect url="#gone"/>, '']
+  - [target="#m0", target="#gone", '']
+""")
 def test_a_mesh_whose_material_is_broken_is_drawn_without(tmp_path, caplog, old, new, said):
     assert old in COLLADA
     left, right = collada_seen(tmp_path, "gone.png", text=COLLADA.replace(old, new))

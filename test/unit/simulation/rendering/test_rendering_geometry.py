@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import yaml
 from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_plate
+from shared import cases
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
@@ -40,17 +41,15 @@ def offsets(renderer, camera, corners, poses, half, samples=1):
     return np.concatenate(found)
 
 
-# Width and height, focal lengths, middle, and distortion; and samples.
-SEEN = """
-- [[320, 240, 439.596, 439.596, 159.5, 119.5], 1]
-- [[1920, 1080, 554.256, 554.256, 959.5, 539.5], 1]
-- [[640, 480, 502.3, 502.3, 319.5, 239.5], 4]
-- [[501, 333, 411.0, 370.0, 230.3, 190.8], 1]
-- [[640, 480, 502.3, 502.3, 319.5, 239.5, [-0.25, 0.08, 0.001, -0.002, 0.01]], 1]
-"""
-
-
-@pytest.mark.parametrize("camera, samples", yaml.safe_load(SEEN))
+@cases("""
+camera, samples:
+  # Width and height, focal lengths, middle, and distortion; and samples.
+  - [[320, 240, 439.596, 439.596, 159.5, 119.5], 1]
+  - [[1920, 1080, 554.256, 554.256, 959.5, 539.5], 1]
+  - [[640, 480, 502.3, 502.3, 319.5, 239.5], 4]
+  - [[501, 333, 411.0, 370.0, 230.3, 190.8], 1]
+  - [[640, 480, 502.3, 502.3, 319.5, 239.5, [-0.25, 0.08, 0.001, -0.002, 0.01]], 1]
+""")
 def test_corners_are_seen_where_camera_info_has_them(tmp_path, camera, samples):
     camera = PinholeCamera(*camera)
     # Nine cells across, from 1 m, and more than is seen. Texels of four pixels: a sharper edge is
@@ -95,17 +94,15 @@ def test_impossible_shots_are_refused(wrong):
         Shot(**{"camera": CAMERA, **wrong})
 
 
-# One of a real lens with a wide view; one that bends outwards; those that fold, at the slope where
-# r (1 + k1 r²) is greatest.
-BLACK = """
-- [[-0.279817, 0.060321, 0.00031, 0.0, 0.000487], 228.8]
-- [[9.0, 0.0, 0.0, 0.0, 0.0], 300.0]
-- [[-0.9, 0.0, 0.0, 0.0, 0.0], 300.0]
-- [[-2.0, 0.0, 0.01, 0.02, 0.0], 300.0]
-"""
-
-
-@pytest.mark.parametrize("distortion, focal", yaml.safe_load(BLACK))
+@cases("""
+distortion, focal:
+  # One of a real lens with a wide view; one that bends outwards; those that fold, at the slope
+  # where r (1 + k1 r²) is greatest.
+  - [[-0.279817, 0.060321, 0.00031, 0.0, 0.000487], 228.8]
+  - [[9.0, 0.0, 0.0, 0.0, 0.0], 300.0]
+  - [[-0.9, 0.0, 0.0, 0.0, 0.0], 300.0]
+  - [[-2.0, 0.0, 0.01, 0.02, 0.0], 300.0]
+""")
 def test_where_a_lens_shows_nothing_its_picture_is_black(distortion, focal):
     camera = PinholeCamera(640, 480, focal, focal, 319.5, 239.5, distortion)
     lens = Lens(camera)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from heap import bytes_kept
 from picture_worlds import CAMERA, checkers, plate, simulation_of, thing, write_plate
+from shared import cases
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
@@ -59,7 +60,7 @@ def look(simulation, samples=1):
     return simulation.renderer().picture(AHEAD, Shot(CAMERA, samples=samples)).tobytes()
 
 
-@pytest.mark.parametrize("samples", [1, 4])
+@cases("samples: [1, 4]")
 def test_a_picture_does_not_depend_on_what_was_drawn_before(tmp_path, samples):
     models = (board(tmp_path), cube("a", RED, 2.0), thing("floor", Plane()))
     with simulation_of(*models, **SUNNY) as simulation:
@@ -105,13 +106,13 @@ def test_any_thread_draws():
     assert seen == [(255, 0, 0), BLUE, (255, 0, 0)]
 
 
-@pytest.mark.parametrize(("alpha", "seen"), [(0.5, (128, 128, 0)), (0.0, (255, 0, 0))])
+@cases("alpha, seen: [[0.5, [128, 128, 0]], [0.0, [255, 0, 0]]]")
 def test_glass_shows_what_is_behind_it_and_air_nothing(alpha, seen):
     with simulation_of(cube("pane", (0.0, 1.0, 0.0, alpha), 1.0), cube("a", RED)) as simulation:
         assert middle(simulation) == pytest.approx(seen, abs=1)
 
 
-@pytest.mark.parametrize("exposure", [0.5, 3.0])
+@cases("exposure: [0.5, 3.0]")
 def test_exposure_scales_everything_up_to_white(exposure):
     colour, sky = np.array((0.8, 0.4, 0.2, 1.0)), np.array((0.5, 0.2, 0.1, 1.0))
     box = cube("box", tuple(colour))

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from picture_worlds import (
     CAMERA,
     COLOURS,
@@ -17,6 +16,7 @@ from picture_worlds import (
     write_plate,
 )
 from PIL import Image
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.rendering.drawables import read_pixels, surfaces_of
@@ -48,7 +48,7 @@ def test_faces_that_show_a_single_point_have_its_colour(tmp_path):
     assert around_the_middle(picture) == pytest.approx(wanted, abs=3)
 
 
-@pytest.mark.parametrize("side", [3, 10, 63])
+@cases("side: [3, 10, 63]")
 def test_pictures_of_any_width(tmp_path, side):
     columns = np.arange(side) % 2 * 200 + 20
     stripes = np.tile(columns.astype(np.uint8), (side, 1))
@@ -99,14 +99,12 @@ def test_several_materials_and_faces_without_a_picture(tmp_path):
     assert picture[240, columns] == pytest.approx(wanted, abs=3)
 
 
-@pytest.mark.parametrize(
-    ("model", "picture"),
-    [
-        (".", "textures/q.png"),
-        # In the package that the model lies in.
-        ("models/shelf", "photos/q.png"),
-    ],
-)
+@cases("""
+model, picture:
+  - [., textures/q.png]
+  # In the package that the model lies in.
+  - [models/shelf, photos/q.png]
+""")
 def test_pictures_beside_the_meshes_of_a_model_and_in_its_package(tmp_path, model, picture):
     meshes = tmp_path / model / "meshes"
     meshes.mkdir(parents=True)
@@ -122,17 +120,15 @@ def test_pictures_beside_the_meshes_of_a_model_and_in_its_package(tmp_path, mode
     assert (read_pixels(surface.look[1].texture) == COLOURS[1]).all()
 
 
-UNREADABLE = r"""
-- [p.mtl, "newmtl face\nmap_Kd nix.png\n", 'p.mtl: .*nix.png']
-- [p.mtl, "newmtl face\nmap_Kd ../secret.png\n", 'p.mtl: .*leaves its folder']
-- [p.mtl, "newmtl face\nmap_Kd http://example.org/a.png\n", 'p.mtl: .*only package://']
-- [p.png, no image, 'p.png: .*not a readable image']
-- [p.obj, "mtllib p.mtl\nusemtl face\nv 0 9 -9\nv 0 -9 -9\nv 0 0 9\nf 1 2 3\n", 'p.png: .*no
-   texture coordinates']
-"""
-
-
-@pytest.mark.parametrize("name, content, message", yaml.safe_load(UNREADABLE))
+@cases(r"""
+name, content, message:
+  - [p.mtl, "newmtl face\nmap_Kd nix.png\n", 'p.mtl: .*nix.png']
+  - [p.mtl, "newmtl face\nmap_Kd ../secret.png\n", 'p.mtl: .*leaves its folder']
+  - [p.mtl, "newmtl face\nmap_Kd http://example.org/a.png\n", 'p.mtl: .*only package://']
+  - [p.png, no image, 'p.png: .*not a readable image']
+  - [p.obj, "mtllib p.mtl\nusemtl face\nv 0 9 -9\nv 0 -9 -9\nv 0 0 9\nf 1 2 3\n", 'p.png: .*no
+     texture coordinates']
+""")
 def test_a_picture_that_cannot_be_shown_is_named_once_and_left_out(
     tmp_path, name, content, message, caplog
 ):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
@@ -52,19 +52,17 @@ def test_a_picture_is_scaled_scrolled_and_turned():
     assert found == pytest.approx(wanted, abs=1e-5)
 
 
-# How many boxes or balls at which height (m), leaning by how much (rad), whether they stand still,
-# below which height footprints are looked for, and how many there are.
-STANDING = """
-- [2, box, 0, 0, true, 1.0, 2]
-- [1, box, 2.0, 0, true, 1.75, 0]
-- [1, box, 2.0, 0, true, 1.8, 1]
-- [1, ball, 0, 0, true, 1.0, 0]
-- [1, box, 0, 0, false, 1.0, 0]
-- [1, box, 0, 0.1, true, 1.0, 0]
-"""
-
-
-@pytest.mark.parametrize("count, kind, z, lean, static, below, found", yaml.safe_load(STANDING))
+@cases("""
+count, kind, z, lean, static, below, found:
+  # How many boxes or balls at which height (m), leaning by how much (rad), whether they stand
+  # still, below which height footprints are looked for, and how many there are.
+  - [2, box, 0, 0, true, 1.0, 2]
+  - [1, box, 2.0, 0, true, 1.75, 0]
+  - [1, box, 2.0, 0, true, 1.8, 1]
+  - [1, ball, 0, 0, true, 1.0, 0]
+  - [1, box, 0, 0, false, 1.0, 0]
+  - [1, box, 0, 0.1, true, 1.0, 0]
+""")
 def test_all_upright_boxes_of_what_stands_still_and_not_above(
     count, kind, z, lean, static, below, found
 ):

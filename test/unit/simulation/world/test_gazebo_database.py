@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from shared import PACKAGE
+from shared import PACKAGE, cases
 
 from bullet_lab.simulation.models import bounds
 from bullet_lab.simulation.simulation import Simulation
@@ -65,13 +65,6 @@ jersey_barrier                     jersey_barrier.dae
 nist_maze_wall_120                 nist_maze_wall_120.dae
 nist_maze_wall_240                 nist_maze_wall_240.dae
 """
-MATERIALS = {
-    "asphalt_plane": "vrc/asphalt",
-    "beer": "Beer/Diffuse",
-    "brick_box_3x1x3": "BrickBox/Diffuse",
-    "dumpster": "Dumpster/Diffuse",
-    "grey_wall": "vrc/grey_wall",
-}
 INCLUDED = '<include><uri>model://{0}</uri><name>{0}</name><pose>{1} 0 0 0 0 0</pose></include>'
 
 
@@ -123,7 +116,14 @@ def test_a_mesh_that_saved_worlds_name_has_the_size_of_its_model(row, read_world
     assert np.subtract(greatest, least) == pytest.approx(MODELS[name][:3], abs=6e-3)
 
 
-@pytest.mark.parametrize(("name", "material"), MATERIALS.items())
+@cases("""
+name, material:
+  - [asphalt_plane, vrc/asphalt]
+  - [beer, Beer/Diffuse]
+  - [brick_box_3x1x3, BrickBox/Diffuse]
+  - [dumpster, Dumpster/Diffuse]
+  - [grey_wall, vrc/grey_wall]
+""")
 def test_a_material_that_saved_worlds_name_has_the_colour_of_its_model(
     name, material, read_world, caplog
 ):

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from alike import assert_as_before, lines_of
 from PIL import Image
 from sensor_worlds import carrier
+from shared import cases
 
 from bullet_lab.simulation.world import materials, resources
 from bullet_lab.simulation.world.description import Texture
@@ -157,14 +157,12 @@ def test_what_one_model_declares_the_next_ones_know(shop, tmp_path):
     assert glass.links[0].visuals[0].colour == (0, 0, 1, 0.25)
 
 
-@pytest.mark.parametrize(
-    ("scripts", "textures"),
-    [
-        ("media/materials/scripts", "media/materials/textures"),
-        ("Media/materials/scripts", "Media/materials/textures"),
-        (".", "."),
-    ],
-)
+@cases("""
+scripts, textures:
+  - [media/materials/scripts, media/materials/textures]
+  - [Media/materials/scripts, Media/materials/textures]
+  - [., .]
+""")
 def test_gazebos_media_folders(scripts, textures, shop, tmp_path, monkeypatch):
     share = tmp_path / "share"
     for name in (scripts, textures):
@@ -230,18 +228,16 @@ def test_blocks_are_read_and_go_over_those_of_their_parents_as_before():
     assert_as_before(told, HERE / "scripts.txt")
 
 
-MISTAKES = r"""
-- ["material A { }\nmaterial B {\n technique {", "'technique ' is not closed", [A]]
-- ["\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", [A]]
-- ["material A { }\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
-   a { a {", more than 20 blocks, [A]]
-- ["material A { technique { name \"open\n } }", '', [A]]
-- ['material A { /* open', "'material A' is not closed", []]
-- ['', '', []]
-"""
-
-
-@pytest.mark.parametrize("text, mistake, kept", yaml.safe_load(MISTAKES))
+@cases(r"""
+text, mistake, kept:
+  - ["material A { }\nmaterial B {\n technique {", "'technique ' is not closed", [A]]
+  - ["\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", [A]]
+  - ["material A { }\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
+     a { a { a {", more than 20 blocks, [A]]
+  - ["material A { technique { name \"open\n } }", '', [A]]
+  - ['material A { /* open', "'material A' is not closed", []]
+  - ['', '', []]
+""")
 def test_mistakes_are_said_and_what_was_before_them_counts(text, mistake, kept):
     root, found = parse_script(text)
     assert mistake in found
@@ -249,14 +245,12 @@ def test_mistakes_are_said_and_what_was_before_them_counts(text, mistake, kept):
     assert [block.name for block in root.blocks] == kept
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("material A : B { }\nmaterial B : A { }", "inherits from it"),
-        ("material A : A { }", "inherits from it"),
-        ("material A : Gone { }", "its parent 'Gone' is missing"),
-    ],
-)
+@cases(r"""
+text, message:
+  - ["material A : B { }\nmaterial B : A { }", inherits from it]
+  - ["material A : A { }", inherits from it]
+  - ["material A : Gone { }", its parent 'Gone' is missing]
+""")
 def test_parents_that_cannot_be(text, message):
     with pytest.raises(ScriptError, match=message):
         whole(text, "A")

@@ -1,6 +1,5 @@
 import pytest
-import yaml
-from shared import EMPTY_WORLD, complains
+from shared import EMPTY_WORLD, cases, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
@@ -32,14 +31,12 @@ def test_a_light_may_be_spawned():
     assert read_spawned(sdf(f'{light}<model name="m">{link()}</model>'), "s").name == "m"
 
 
-POSES = """
-- [true, '', 0.0]
-- [true, <pose>0 0 2 0 0 0</pose>, 2.0]
-- [false, '', 0.5]
-"""
-
-
-@pytest.mark.parametrize("world, pose, height", yaml.safe_load(POSES))
+@cases("""
+world, pose, height:
+  - [true, '', 0.0]
+  - [true, <pose>0 0 2 0 0 0</pose>, 2.0]
+  - [false, '', 0.5]
+""")
 def test_an_include_in_a_world_has_the_last_word_on_the_pose(tmp_path, world, pose, height):
     (tmp_path / "thing.sdf").write_text(model("<pose>0 0 0.5 0 0 0</pose>" + link()))
     inside = include(f"<uri>thing.sdf</uri>{pose}")
@@ -55,16 +52,6 @@ def test_the_newest_file_of_a_model_config_is_read(read_world, save_model):
     )
     (folder / "new.sdf").write_text(model(link(), "new"))
     assert [m.name for m in read_world(include("<uri>model://thing</uri>")).models] == ["new"]
-
-
-BAD_MODELS = """
-- [<sdf version="1.6"><model/></sdf>, a <model> without a name]
-- [<sdf version="1.6"><model name="m"></model></sdf>, 'model ''m'': there is no link']
-- [<mesh/>, 'the root element is <mesh>, neither <sdf> nor <robot>']
-- [<sdf version="1.6"></sdf>, there is no model]
-- [<sdf version="1.6"><model name="a"><link name="a"></link></model><model name="a"><link
-   name="a"></link></model></sdf>, 2 models; only the first is used]
-"""
 
 
 def test_a_missing_model_is_named_once(tmp_path, caplog):
@@ -86,21 +73,27 @@ def test_a_missing_mesh_is_named_once_where_it_is_used_first(caplog):
     assert "link 'a'" in caplog.messages[0]
 
 
-@pytest.mark.parametrize("text, message", yaml.safe_load(BAD_MODELS))
+@cases("""
+text, message:
+  - [<sdf version="1.6"><model/></sdf>, a <model> without a name]
+  - [<sdf version="1.6"><model name="m"></model></sdf>, 'model ''m'': there is no link']
+  - [<mesh/>, 'the root element is <mesh>, neither <sdf> nor <robot>']
+  - [<sdf version="1.6"></sdf>, there is no model]
+  - [<sdf version="1.6"><model name="a"><link name="a"></link></model><model name="a"><link
+     name="a"></link></model></sdf>, 2 models; only the first is used]
+""")
 def test_a_bad_model_is_one_line_that_names_source_and_place(text, message):
     with complains(f"^s: (.*: )?{message}"):
         read_spawned(text, "s")
 
 
-CONFIGS = """
-- [<model/>, 'model.config: names no <sdf> file']
-- [<model><sdf>../../secret.sdf</sdf></model>, leaves its folder]
-- [<model><sdf>nix.sdf</sdf></model>, no such file]
-- [<model>, 'model.config: not well-formed XML']
-"""
-
-
-@pytest.mark.parametrize("config, message", yaml.safe_load(CONFIGS))
+@cases("""
+config, message:
+  - [<model/>, 'model.config: names no <sdf> file']
+  - [<model><sdf>../../secret.sdf</sdf></model>, leaves its folder]
+  - [<model><sdf>nix.sdf</sdf></model>, no such file]
+  - [<model>, 'model.config: not well-formed XML']
+""")
 def test_a_bad_model_config(read_world, save_model, tmp_path, config, message):
     (tmp_path / "secret.sdf").write_text(model(link()))
     save_model("thing", model(link()), config)
@@ -115,7 +108,12 @@ def test_a_circle_of_includes_is_named(read_world, save_model):
         read_world(include("<uri>model://hen</uri>"))
 
 
-@pytest.mark.parametrize("text", ["<sdf/>", "<world/>", '<robot name="r"/>'])
+@cases("""
+text:
+  - <sdf/>
+  - <world/>
+  - <robot name="r"/>
+""")
 def test_no_world(tmp_path, text):
     (tmp_path / "a.world").write_text(text)
     with pytest.raises(LabError, match="a.world: no <sdf> with a <world>$"):

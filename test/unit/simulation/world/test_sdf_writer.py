@@ -6,9 +6,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-import yaml
 from alike import assert_alike
-from shared import BLOCK_ROBOT, EMPTY_WORLD
+from shared import BLOCK_ROBOT, EMPTY_WORLD, cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.samples import PlanarCommand
@@ -109,15 +108,13 @@ def test_a_saved_world_is_valid(busy, tmp_path, package):
     assert result.returncode == 0, result.stderr
 
 
-# An empty tag is one; the other plugin has none.
-NAMESPACES = """
-- ['', left, [left]]
-- ['', /, [/]]
-- [<robotNamespace></robotNamespace>, left, ['', left]]
-"""
-
-
-@pytest.mark.parametrize("tag, given, saved", yaml.safe_load(NAMESPACES))
+@cases("""
+tag, given, saved:
+  # An empty tag is one; the other plugin has none.
+  - ['', left, [left]]
+  - ['', /, [/]]
+  - [<robotNamespace></robotNamespace>, left, ['', left]]
+""")
 def test_the_namespace_that_a_plugin_was_given_is_saved(tmp_path, world, tag, given, saved):
     text = MACHINE.replace("<updateRate>", f"{tag}<updateRate>")
     world.add(read_spawned(text, "machine"), namespace=given)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from alike import assert_as_before, lines_of
+from shared import cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.simulation.physics.physics import SHAPES as BODIES
@@ -170,23 +171,21 @@ def test_a_bad_mesh_is_one_line_that_names_the_file(load, tmp_path, name):
     assert "\n" not in str(caught.value)
 
 
-BROKEN = """
-- ['<COLLADA ', '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><COLLADA ', document types
-   and entities are refused]
-- [0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1, wide 0 0 0 0 wide 0 0 0 0 1 1 0 0 0 1, not a readable
-   mesh]
-- [0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1, nan 0 0 0 0 nan 0 0 0 0 1 1 0 0 0 1, finite]
-- [0.991445 0.130526 -1, nan 0.130526 -1, a number is not finite]
-- [0.991445 0.130526 -1, x 0.130526 -1, not a readable mesh]
-- ['48 49 78 ', '48 49 7800 ', not a readable mesh]
-- ['48 49 78 ', '-48 49 78 ', a triangle has an unknown corner]
-- [triangles, polygon_soup, no triangles]
-- [url="#beacon-mesh", url="#nix", no triangles]
-- [meter="1", meter="long", '<unit>: ''long'' is not a finite number']
-"""
-
-
-@pytest.mark.parametrize("old, new, message", yaml.safe_load(BROKEN))
+@cases("""
+old, new, message:
+  - ['<COLLADA ', '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><COLLADA ', document types
+     and entities are refused]
+  - [0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1, wide 0 0 0 0 wide 0 0 0 0 1 1 0 0 0 1, not a readable
+     mesh]
+  - [0.25 0 0 0 0 0.25 0 0 0 0 1 1 0 0 0 1, nan 0 0 0 0 nan 0 0 0 0 1 1 0 0 0 1, finite]
+  - [0.991445 0.130526 -1, nan 0.130526 -1, a number is not finite]
+  - [0.991445 0.130526 -1, x 0.130526 -1, not a readable mesh]
+  - ['48 49 78 ', '48 49 7800 ', not a readable mesh]
+  - ['48 49 78 ', '-48 49 78 ', a triangle has an unknown corner]
+  - [triangles, polygon_soup, no triangles]
+  - [url="#beacon-mesh", url="#nix", no triangles]
+  - [meter="1", meter="long", '<unit>: ''long'' is not a finite number']
+""")
 def test_a_broken_collada_file_is_one_line(load, beacon_text, tmp_path, old, new, message):
     assert old in beacon_text
     broken = beacon_text.replace(old, new)

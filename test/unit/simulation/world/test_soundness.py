@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-import yaml
-from shared import complains
+from shared import cases, complains
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.errors import LabError
@@ -34,7 +33,7 @@ def test_off_diagonal_elements_that_no_body_has():
     assert np.linalg.eigvalsh(model.links[0].inertia.matrix).min() > 0.0
 
 
-@pytest.mark.parametrize("moments", ["0 0 0", "1e-9 1e-9 1"])
+@cases("moments: [0 0 0, 1e-9 1e-9 1]")
 def test_a_robot_with_odd_moments_stands_and_turns_its_wheel(world, moments):
     instance = world.add(robot(moments), pose=Pose((0.0, 0.0, 0.1)))
     instance.body_of_joint("j").drive_joint("j", 3.0, 1.0)
@@ -45,7 +44,11 @@ def test_a_robot_with_odd_moments_stands_and_turns_its_wheel(world, moments):
     assert np.isfinite(instance.pose().quaternion).all()
 
 
-@pytest.mark.parametrize("mass", ["0", "heavy"])
+@cases("""
+mass:
+  - "0"
+  - heavy
+""")
 def test_a_link_without_mass_is_left_out_and_the_rest_stands(world, mass):
     with complains("model 'r': link 'wheel' moves and has no mass; it is left out$"):
         instance = world.add(robot(mass=mass), pose=Pose((0.0, 0.0, 0.06)))
@@ -63,7 +66,7 @@ def test_a_static_robot_needs_no_mass(world):
     assert instance.frame("wheel").pose().position == pytest.approx((0, 0.15, 1))
 
 
-@pytest.mark.parametrize("name", ["world", "base"])
+@cases("name: [world, base]")
 def test_a_robot_of_one_link_without_mass_is_refused(world, name):
     with pytest.raises(LabError, match=f"link '{name}' moves and has no mass"):
         world.add(read_spawned(f'<robot name="r"><link name="{name}"/></robot>', "robot"))
@@ -81,27 +84,23 @@ SDF = """<sdf version="1.6"><model name="m">
 </model></sdf>"""
 
 
-HUGE = r"""
-- [0.2 0.3 0.4, 0.2 0.3 1e30, '<size>: 1e\+30 is not within ±1e\+18']
-- [0.2 0.3 0.4, 0.2 0.3 1e9, 'size of a shape: 1e\+09 is not within ±1e\+06']
-- [0 0 1 0 0 0, 0 0 1e12 0 0 0, 'link ''b'': pose: 1e\+12 is not within ±1e\+06']
-"""
-
-
-@pytest.mark.parametrize("old, new, said", yaml.safe_load(HUGE))
+@cases(r"""
+old, new, said:
+  - [0.2 0.3 0.4, 0.2 0.3 1e30, '<size>: 1e\+30 is not within ±1e\+18']
+  - [0.2 0.3 0.4, 0.2 0.3 1e9, 'size of a shape: 1e\+09 is not within ±1e\+06']
+  - [0 0 1 0 0 0, 0 0 1e12 0 0 0, 'link ''b'': pose: 1e\+12 is not within ±1e\+06']
+""")
 def test_what_exceeds_all_bounds_is_named_and_the_world_goes_on(world, old, new, said):
     with complains(said):
         world.add(read_spawned(SDF.replace(old, new), "model_xml of 'm'"))
     world.run_for(0.01)
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("ground_plane", "'ground_plane' exists already"),
-        ("new\nline", "name 'new\\\\nline': has characters that cannot be printed"),
-    ],
-)
+@cases(r"""
+name, said:
+  - [ground_plane, "'ground_plane' exists already"]
+  - ["new\nline", 'name ''new\\nline'': has characters that cannot be printed']
+""")
 def test_names_that_cannot_be(world, name, said):
     with pytest.raises(LabError, match=said):
         world.add(read_spawned(SDF, "text"), name)

@@ -3,8 +3,8 @@
 import math
 
 import pytest
-import yaml
 from alike import assert_alike
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.simulation import Simulation
@@ -45,16 +45,14 @@ def near(pose, *numbers):
 TURN = math.pi / 2
 
 
-AXES = """
-- ['1.4', '', '', [0, -1, 0]]
-- ['1.6', '', '', [1, 0, 0]]
-- ['1.6', '', <use_parent_model_frame>1</use_parent_model_frame>, [0, -1, 0]]
-- ['1.7', ' expressed_in="a"', '', [0, -1, 0]]
-- ['1.7', '', '', [1, 0, 0]]
-"""
-
-
-@pytest.mark.parametrize("version, said, extra, expected", yaml.safe_load(AXES))
+@cases("""
+version, said, extra, expected:
+  - ['1.4', '', '', [0, -1, 0]]
+  - ['1.6', '', '', [1, 0, 0]]
+  - ['1.6', '', <use_parent_model_frame>1</use_parent_model_frame>, [0, -1, 0]]
+  - ['1.7', ' expressed_in="a"', '', [0, -1, 0]]
+  - ['1.7', '', '', [1, 0, 0]]
+""")
 def test_axes_are_in_the_joint_or_the_model(version, said, extra, expected):
     found = model(
         link("a")
@@ -101,9 +99,7 @@ URDF_BODY = (
 )
 
 
-@pytest.mark.parametrize(
-    ("kind", "joints"), [("fixed", ["j"]), ("continuous", ["hold", "j"]), ("floating", ["j"])]
-)
+@cases("kind, joints: [[fixed, [j]], [continuous, [hold, j]], [floating, [j]]]")
 def test_a_urdf_on_the_link_world_stays_unless_it_floats(kind, joints, caplog, falling):
     robot = read_spawned(URDF.format(body=URDF_BODY, kind=kind), "s")
     assert ("type 'floating' is not simulated" in caplog.text) == (kind == "floating")

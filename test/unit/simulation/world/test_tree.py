@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
@@ -32,20 +32,18 @@ def test_a_tree_passes_and_is_walked_from_the_top():
     assert top_down("a", joints("ac", "ab", "cd")) == ["a", "c", "b", "d"]
 
 
-NO_TREES = """
-- ['', [], there is no link]
-- [aab, [ab], link 'a' appears twice]
-- [abc, [ac, bc], child link 'c' appears twice]
-- [ab, [ax], joint 'j0' has an unknown link 'x']
-- [ab, [xb], joint 'j0' has an unknown link 'x']
-- [ab, [], 'several root links: a, b']
-- [ab, [ab, ba], 'a loop of joints at a, b']
-- [abc, [bc, cb], 'a loop of joints at b, c']
-- [a, [aa], a loop of joints at a]
-"""
-
-
-@pytest.mark.parametrize("names, ends, message", yaml.safe_load(NO_TREES))
+@cases("""
+names, ends, message:
+  - ['', [], there is no link]
+  - [aab, [ab], link 'a' appears twice]
+  - [abc, [ac, bc], child link 'c' appears twice]
+  - [ab, [ax], joint 'j0' has an unknown link 'x']
+  - [ab, [xb], joint 'j0' has an unknown link 'x']
+  - [ab, [], 'several root links: a, b']
+  - [ab, [ab, ba], 'a loop of joints at a, b']
+  - [abc, [bc, cb], 'a loop of joints at b, c']
+  - [a, [aa], a loop of joints at a]
+""")
 def test_what_is_no_tree_is_refused(names, ends, message):
     with pytest.raises(XmlError, match=f"^s: {message}$"):
         check_tree(links(names), joints(*ends), "s")

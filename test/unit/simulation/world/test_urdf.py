@@ -1,6 +1,4 @@
-import pytest
-import yaml
-from shared import complains
+from shared import cases, complains
 
 from bullet_lab.simulation.world.urdf import read_urdf, read_urdf_file
 
@@ -26,21 +24,20 @@ def test_what_xacro_has_not_expanded_is_named_once(caplog):
     ]
 
 
-BAD = """
-- ['', not well-formed XML]
-- [<sdf/>, 'the root element is <sdf>, not <robot>']
-- ['<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>', document types and
-   entities are refused]
-- [<robot name="r"><link/></robot>, a <link> without a name]
-- [<robot name="r"><link name="a"/><link name="b"/></robot>, 'several root links: a, b']
-- [<robot name="r"><link name="a"><inertial><mass value="1"/></inertial></link></robot>, 'link
-   ''a'': no body can have the principal moments 0, 0, 0']
-- [<robot name="r"><link name="a"/><joint name="j" type="fixed"><parent link="a"/></joint></robot>,
-   'joint ''j'': no <child link=…>']
-"""
-
-
-@pytest.mark.parametrize("text, message", yaml.safe_load(BAD))
+@cases("""
+text, message:
+  - ['', not well-formed XML]
+  - [<sdf/>, 'the root element is <sdf>, not <robot>']
+  - ['<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>', document types and
+     entities are refused]
+  - [<robot name="r"><link/></robot>, a <link> without a name]
+  - [<robot name="r"><link name="a"/><link name="b"/></robot>, 'several root links: a, b']
+  - [<robot name="r"><link name="a"><inertial><mass value="1"/></inertial></link></robot>, 'link
+     ''a'': no body can have the principal moments 0, 0, 0']
+  - - <robot name="r"><link name="a"/><joint name="j" type="fixed"><parent
+      link="a"/></joint></robot>
+    - 'joint ''j'': no <child link=…>'
+""")
 def test_bad_urdf_is_one_line_that_names_file_and_place(tmp_path, text, message):
     path = tmp_path / "bad.urdf"
     path.write_text(text)

@@ -7,10 +7,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-import yaml
 from alike import assert_as_before, lines_of, shown
-from shared import PACKAGE
+from shared import PACKAGE, cases
 
 from bullet_lab.simulation.world.description import Mesh, ModelState, PluginTag, Snapshot
 from bullet_lab.simulation.world.mesh_parts import mesh_parts
@@ -41,24 +39,24 @@ def saved(path):
 
 
 READERS = {one.__name__: one for one in (read_world_file, read_urdf_file, saved, parts_of)}
-FILES = """
-- [whole.world, read_world_file]
-- [whole.world, saved]
-- [whole.urdf, read_urdf_file]
-- [worlds/beacons.world, read_world_file]
-- [worlds/docking.world, read_world_file]
-- [worlds/docking_dots.world, read_world_file]
-- [worlds/docking_nested.world, read_world_file]
-- [worlds/docking_decoy.world, read_world_file]
-- [urdf/beacon.urdf, read_urdf_file]
-- [urdf/block_robot.urdf, read_urdf_file]
-- [urdf/camera_robot.urdf, read_urdf_file]
-- [whole.obj, parts_of]
-- [whole.dae, parts_of]
-"""
 
 
-@pytest.mark.parametrize("file, reader", yaml.safe_load(FILES))
+@cases("""
+file, reader:
+  - [whole.world, read_world_file]
+  - [whole.world, saved]
+  - [whole.urdf, read_urdf_file]
+  - [worlds/beacons.world, read_world_file]
+  - [worlds/docking.world, read_world_file]
+  - [worlds/docking_dots.world, read_world_file]
+  - [worlds/docking_nested.world, read_world_file]
+  - [worlds/docking_decoy.world, read_world_file]
+  - [urdf/beacon.urdf, read_urdf_file]
+  - [urdf/block_robot.urdf, read_urdf_file]
+  - [urdf/camera_robot.urdf, read_urdf_file]
+  - [whole.obj, parts_of]
+  - [whole.dae, parts_of]
+""")
 def test_whole_files_are_read_as_before(file, reader, caplog):
     path = (PACKAGE if "/" in file else HERE) / file
     told = [*lines_of(READERS[reader](path), path.name), *caplog.messages]

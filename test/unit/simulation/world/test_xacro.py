@@ -1,8 +1,8 @@
 import os
 
 import pytest
-import yaml
 from sensor_worlds import INERTIAL
+from shared import cases
 
 from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.simulation.world import urdf as xacro_files
@@ -72,16 +72,14 @@ def test_it_can_be_spawned_by_its_path(write):
         assert simulation.spawn(str(path)).name == "made"
 
 
-REFUSED = """
-- [<link, no element found|unclosed token|not well-formed]
-- ['<link name="${no_such_name}"/>', no_such_name]
-- [<xacro:include filename="missing.xacro"/>, missing.xacro]
-- [<link name="$(arg never_given)"/>, never_given]
-- ['<property name="w" value="1"/><link name="${w}"/>', <property> is <xacro:prop]
-"""
-
-
-@pytest.mark.parametrize("body, message", yaml.safe_load(REFUSED))
+@cases("""
+body, message:
+  - [<link, no element found|unclosed token|not well-formed]
+  - ['<link name="${no_such_name}"/>', no_such_name]
+  - [<xacro:include filename="missing.xacro"/>, missing.xacro]
+  - [<link name="$(arg never_given)"/>, never_given]
+  - ['<property name="w" value="1"/><link name="${w}"/>', <property> is <xacro:prop]
+""")
 def test_refusals_are_one_line_with_the_file(write, body, message):
     path = write(body)
     with pytest.raises(XacroError, match=message) as refusal:
@@ -108,13 +106,11 @@ def test_without_the_package_it_says_so(write, monkeypatch, tmp_path):
         expand_xacro(write(""))
 
 
-@pytest.mark.parametrize(
-    "attempt",
-    [
-        "${__import__('os').getpid()}",
-        "${xacro.load_yaml.__globals__}",
-    ],
-)
+@cases("""
+attempt:
+  - "${__import__('os').getpid()}"
+  - "${xacro.load_yaml.__globals__}"
+""")
 def test_expressions_have_a_fence(write, attempt):
     with pytest.raises(XacroError):
         expand_xacro(write(f'<link name="{attempt}"/>'))

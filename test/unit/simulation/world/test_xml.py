@@ -2,6 +2,7 @@ import os
 from pathlib import Path
 
 import pytest
+from shared import cases
 
 from bullet_lab.simulation.world.xml import (
     ElementReader,
@@ -20,7 +21,13 @@ def one_line(caught):
     return "\n" not in str(caught.value) and str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "<a></b>", "<a/><b/>", "<a>\0</a>"])
+@cases(r"""
+text:
+  - ""
+  - <a></b>
+  - <a/><b/>
+  - "<a>\u0000</a>"
+""")
 def test_malformed_xml_is_refused_by_name(text):
     with pytest.raises(XmlError, match="^here: not well-formed XML: ") as caught:
         parse_text(text, "here")
@@ -42,15 +49,13 @@ def test_document_types_and_entities_are_refused(prolog):
         parse_text(f"{prolog}<a>&x;&l9;</a>", "here")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "<!-- licence -->\n<?xml version='1.0'?>\n<a><b/></a>",
-        "<a><!-- 1 -- 2 --><!-- <b> ---><b/></a>",
-        "<a xmlns:c='d'><b/><e:f g='1'/></a>",
-        "<a h:g='1'><b/></a>",
-    ],
-)
+@cases(r"""
+text:
+  - "<!-- licence -->\n<?xml version='1.0'?>\n<a><b/></a>"
+  - <a><!-- 1 -- 2 --><!-- <b> ---><b/></a>
+  - <a xmlns:c='d'><b/><e:f g='1'/></a>
+  - <a h:g='1'><b/></a>
+""")
 def test_what_gazebos_parser_passes_over_is_passed_over(text):
     assert parse_text(text, "here").find("b") is not None
 
@@ -67,7 +72,7 @@ def test_lines_keep_their_numbers():
         parse_text(text, "here")
 
 
-@pytest.mark.parametrize("encoding", ["UTF-8", "utf-7", "UTF-16", "klingon"])
+@cases("encoding: [UTF-8, utf-7, UTF-16, klingon]")
 def test_the_declared_encoding_of_a_text_does_not_matter(encoding):
     text = f'<?xml version="1.0" encoding="{encoding}"?><a n="+ADw-ü"/>'
     assert parse_text(text, "here").get("n") == "+ADw-ü"
@@ -108,7 +113,7 @@ def test_files_that_cannot_be_read(tmp_path):
         read_text(tmp_path / "latin")
 
 
-@pytest.mark.parametrize("text", [None, "1 2", "1 2 3 4", "1 2 x", "1 inf 2"])
+@cases("text: [null, 1 2, 1 2 3 4, 1 2 x, 1 inf 2]")
 def test_wrong_numbers_are_quoted(text):
     shown = text or ""
     with pytest.raises(XmlError, match=f"^place: '{shown}' is not 3 finite numbers$"):

@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from shared import cases
 from study_runs import names_in, run_main, summary_of
 
 from bullet_lab.core import se2
@@ -158,17 +159,15 @@ def test_paths_of_coverage_have_the_noise_that_is_said():
     assert found["mean_estimate"] == pytest.approx(0.02, rel=3.3 / np.sqrt(2 * 400 * 200) + 1e-3)
 
 
-@pytest.mark.parametrize(
-    ("path", "scale", "line"),
-    [
-        ("odometry", (-1.0, -1.0, 1.0), "has the opposite sign"),
-        ("odometry", (1.0, -1.0, -1.0), "has the opposite sign"),
-        ("odometry", (1000.0, 1000.0, 1.0), "are both in m"),
-        ("odometry", (1.0, 1.0, 57.3), "are both in rad"),
-        ("odometry", (0.0, 0.0, 0.0), "are both in m"),
-        ("true", (1.0, 1.0, 1.0), "equals the truth"),
-    ],
-)
+@cases("""
+path, scale, line:
+  - [odometry, [-1.0, -1.0, 1.0], has the opposite sign]
+  - [odometry, [1.0, -1.0, -1.0], has the opposite sign]
+  - [odometry, [1000.0, 1000.0, 1.0], are both in m]
+  - [odometry, [1.0, 1.0, 57.3], are both in rad]
+  - [odometry, [0.0, 0.0, 0.0], are both in m]
+  - ["true", [1.0, 1.0, 1.0], equals the truth]
+""")
 def test_odometry_that_cannot_be_is_refused_with_its_likely_cause(path, scale, line):
     taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
     taken.check()

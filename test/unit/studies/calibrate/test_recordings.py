@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from recorded_bags import write_bag
+from shared import cases
 
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.errors import LabError
@@ -30,16 +31,14 @@ def check_recordings(paths, count=1, topics=TOPICS):
     return found
 
 
-@pytest.mark.parametrize(
-    "pairs",
-    [
-        [("", "odom", "noisy_odom")],
-        [("", "run1_truth", "run1_odom")],
-        [("", "groundtruth", "odometry")],
-        # In folders below.
-        [("1", "odom", "noisy_odom"), ("2/a", "a_truth", "a_odom"), ("2/a", "b_truth", "b_odom")],
-    ],
-)
+@cases("""
+pairs:
+  - [["", odom, noisy_odom]]
+  - [["", run1_truth, run1_odom]]
+  - [["", groundtruth, odometry]]
+  # In folders below.
+  - [["1", odom, noisy_odom], [2/a, a_truth, a_odom], [2/a, b_truth, b_odom]]
+""")
 def test_two_files_belong_together_by_their_names(tmp_path, pairs):
     for folder, *names in pairs:
         write_pair(tmp_path / folder, *names)
@@ -54,10 +53,11 @@ def test_velocities_in_a_file_of_the_data_set_are_an_odometry(tmp_path):
     check_recordings([tmp_path])
 
 
-@pytest.mark.parametrize(
-    "columns",
-    ["stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw", "stamp,truth_x,truth_y,truth_yaw,x,y,yaw"],
-)
+@cases("""
+columns:
+  - "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw"
+  - "stamp,truth_x,truth_y,truth_yaw,x,y,yaw"
+""")
 def test_a_table_with_both_paths_is_one_recording_beside_the_same_in_two_files(tmp_path, columns):
     write_pair(tmp_path, "odom", "noisy_odom")
     rows = "".join(f"{t},{t},0,0,{2 * t},0,0\n" for t in range(5))
@@ -87,14 +87,12 @@ def test_a_bag_has_both_on_two_topics_of_any_type_of_pose(tmp_path):
         check_recordings([tmp_path], topics=(topic, "odom"))
 
 
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("", "no bag, no table with both paths"),
-        ("nix", "there is no such file or folder"),
-        ("one.csv", "neither a bag nor a table with both paths"),
-    ],
-)
+@cases("""
+name, said:
+  - ["", "no bag, no table with both paths"]
+  - [nix, there is no such file or folder]
+  - [one.csv, neither a bag nor a table with both paths]
+""")
 def test_where_there_is_nothing_that_is_said(tmp_path, name, said):
     (tmp_path / "one.csv").write_text("stamp,x,y,yaw\n")
     with pytest.raises(LabError, match=said):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.trajectory import Trajectory
@@ -61,7 +62,7 @@ def test_the_same_stamps_give_the_steps_of_both_bit_for_bit():
     assert not two.follows[len(steps)]
 
 
-@pytest.mark.parametrize("rates", [(97.0, 20.0), (20.0, 50.0), (31.0, 30.0)])
+@cases("rates: [[97.0, 20.0], [20.0, 50.0], [31.0, 30.0]]")
 def test_other_rates_and_frames_give_the_same_steps(rates):
     truth = path(0.013, 20.0, rates[0])
     odometry = path(0.5, 25.0, rates[1], frame=(5.0, -3.0, 2.0))
@@ -109,7 +110,7 @@ def test_longer_steps_end_where_the_truth_has_gone_or_turned_so_far():
     assert steps.follows[1:].all()
 
 
-@pytest.mark.parametrize("offset", [0.25, -0.6])
+@cases("offset: [0.25, -0.6]")
 def test_a_clock_that_is_behind_is_corrected(offset):
     both = path(0.0, 28.0, 100.0), path(1.0, 27.0, 20.0, offset=offset)
     (remark,) = steps_of(*both, find_offset=False, find_marker=False).remarks
@@ -150,7 +151,7 @@ def test_noise_of_the_truth_is_measured_and_steps_are_longer_than_it():
         assert (found.truth_std_m, found.truth_std_rad) == (1e-9, 1e-9)
 
 
-@pytest.mark.parametrize("place", [(-0.012, 0.0, 0.011), (0.05, -0.03, 0.0)])
+@cases("place: [[-0.012, 0.0, 0.011], [0.05, -0.03, 0.0]]")
 def test_the_place_of_the_truths_point_is_found_and_corrected(place):
     robot = path(0.0, 29.0, 50.0)
     seen = Trajectory(robot.stamps, se2.compose(robot.poses, place))

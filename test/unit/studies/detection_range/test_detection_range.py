@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from alike import assert_as_before, lines_of, lines_of_figure
+from shared import cases
 from study_runs import csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
 
@@ -84,7 +84,11 @@ def test_detections_are_assigned_by_their_position():
     assert math.isnan(frame.distance_error)
 
 
-@pytest.mark.parametrize("off", [{"identifier": 3}, {"shift": 20.0}])
+@cases("""
+"off":
+  - {identifier: 3}
+  - {shift: 20.0}
+""")
 def test_another_id_or_corners_that_are_off_are_false(off):
     pose = camera_pose(1.0, 0.0)
     frame = judged(pose, seen(WANTED, pose, **off))
@@ -123,16 +127,17 @@ def rows_of(rates, bearing=0.0, world="marker_panel", light="default", frames=20
     ]
 
 
-# Shares of finds by distance, the bearing that is asked for, and the ends of the range.
-RANGES = """
-- [{0.3: 1.0, 0.4: 0.9, 0.5: 0.95, 2.0: 1.0, 4.0: 1.0, 5.0: 0.94, 6.0: 1.0, 7.0: 1.0}, 0, 0.5, 4.0]
-- [{0.3: 0.1, 0.4: 1.0, 0.5: 0.0}, 0, 0.4, 0.4]
-- [{0.3: 0.1}, 0, null, null]
-- [{0.3: 1.0, 4.0: 1.0}, 30, null, null]
-"""
-
-
-@pytest.mark.parametrize(("rates", "bearing", "closest", "farthest"), yaml.safe_load(RANGES))
+@cases("""
+rates, bearing, closest, farthest:
+  # Shares of finds by distance, the bearing that is asked for, and the ends of the range.
+  - - {0.3: 1.0, 0.4: 0.9, 0.5: 0.95, 2.0: 1.0, 4.0: 1.0, 5.0: 0.94, 6.0: 1.0, 7.0: 1.0}
+    - 0
+    - 0.5
+    - 4.0
+  - [{0.3: 0.1, 0.4: 1.0, 0.5: 0.0}, 0, 0.4, 0.4]
+  - [{0.3: 0.1}, 0, null, null]
+  - [{0.3: 1.0, 4.0: 1.0}, 30, null, null]
+""")
 def test_the_range_is_the_longest_without_a_gap(rates, bearing, closest, farthest):
     assert found_range(rows_of(rates), bearing) == (closest, farthest)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
+from shared import cases
 
 from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
@@ -29,10 +29,12 @@ def cell(distance, degrees=0.0, world="docking", light="default"):
     return Cell(world, light, distance, math.radians(degrees))
 
 
-@pytest.mark.parametrize(
-    ("distance", "degrees", "place"),
-    [(1.0, 0.0, (3.0, 0.0, 0.44)), (2.0, 30.0, (4.0 - math.sqrt(3.0), 1.0, 0.44))],
-)
+@cases("""
+distance, degrees, place:
+  - [1.0, 0.0, [3.0, 0.0, 0.44]]
+  # 4 less the root of 3.
+  - [2.0, 30.0, [2.2679491924311228, 1.0, 0.44]]
+""")
 def test_a_bearing_is_seen_from_the_marker_and_the_camera_looks_back_at_it(
     distance, degrees, place
 ):
@@ -75,22 +77,20 @@ def test_strewn_places_are_all_over_the_world_but_not_in_its_walls():
     assert not ((x > 1.95) & (abs(y) > 0.45) & (abs(y) < 0.75)).any()
 
 
-PLACES = """
-- [0.3, 0, docking, true, true]
-- [8.0, 0, docking, true, true]
-- [0.5, 45, docking, true, true]
-# Nearer to the side wall than a robot comes.
-- [1.0, 30, docking, false, true]
-# In the side wall, which no ray from there meets.
-- [2.0, 15, docking, false, true]
-- [4.0, 15, docking, true, false]
-- [8.0, 60, docking, true, false]
-- [4.0, 60, marker_panel, true, true]
-- [0.3, 0, marker_panel, true, true]
-"""
-
-
-@pytest.mark.parametrize("distance, degrees, world, reachable, visible", yaml.safe_load(PLACES))
+@cases("""
+distance, degrees, world, reachable, visible:
+  - [0.3, 0, docking, true, true]
+  - [8.0, 0, docking, true, true]
+  - [0.5, 45, docking, true, true]
+  # Nearer to the side wall than a robot comes.
+  - [1.0, 30, docking, false, true]
+  # In the side wall, which no ray from there meets.
+  - [2.0, 15, docking, false, true]
+  - [4.0, 15, docking, true, false]
+  - [8.0, 60, docking, true, false]
+  - [4.0, 60, marker_panel, true, true]
+  - [0.3, 0, marker_panel, true, true]
+""")
 def test_walls_are_in_the_way(distance, degrees, world, reachable, visible):
     place = cell(distance, degrees, world)
     assert is_reachable(place) is reachable

@@ -2,9 +2,12 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from alike import assert_as_before, lines_of
 from scipy import stats
+from shared import cases
 from study_runs import csv_rows
 from test_dock_campaign import fake_trial
 from test_dock_summary import record
@@ -38,7 +41,7 @@ def test_what_is_drawn_does_not_depend_on_the_controller():
         assert other == replace(ours, controller="graceful")
 
 
-@pytest.mark.parametrize(("part", "count"), [(0.5, 15), (0.5, 200), (0.9, 100), (0.99, 1000)])
+@cases("part, count: [[0.5, 15], [0.5, 200], [0.9, 100], [0.99, 1000]]")
 def test_intervals_of_quantiles_are_the_narrowest_with_the_confidence(part, count):
     # The number of values below the quantile, whatever their law, has a binomial distribution.
     found, below = quantile(range(count), part), stats.binom(count, part)
@@ -54,30 +57,21 @@ def test_few_values_leave_the_far_end_open():
     assert quantile([], 0.5) == {"value": None, "low": None, "high": None}
 
 
-def test_what_counts_as_docked():
-    figures = figures_of(
-        [
-            record(0, distance_error_m=0.0),
-            record(1, "inaccurate", lateral_error_m=0.02),
-            record(2, "inaccurate", lateral_error_m=-0.06),
-            record(3, "wall_contact", wall_contacts=1),
-            record(4, "not_detected", retries=0),
-        ]
-    )
-    values = [figure["value"] for name, figure in figures.items() if name.endswith("(%)")]
-    assert values == pytest.approx([20.0, 40.0, 60.0, 20.0, 80.0])
-    assert figures["lateral error, median (mm)"]["value"] == pytest.approx(20.0)
-
-
-def test_pairs_are_compared_index_by_index():
+def test_figures_of_one_campaign_and_of_pairs_are_as_before():
+    records = [
+        record(0, distance_error_m=0.0),
+        record(1, "inaccurate", lateral_error_m=0.02),
+        record(2, "inaccurate", lateral_error_m=-0.06),
+        record(3, "wall_contact", wall_contacts=1),
+        record(4, "not_detected", retries=0),
+    ]
+    told = [*lines_of(figures_of(records), "one")]
     docked, lost, late = record(0), record(0, "not_detected"), record(0, "timed_out")
     faster = record(0, sim_time_s=27.0)
     paired = paired_figures([docked, docked, lost, late], [faster, lost, docked, late])
-    counts = [v for k, v in paired.items() if k.endswith("docked")]
-    assert counts == [1, 1, 1, 1]
-    assert paired["mcnemar_p"] == 1.0
-    assert paired["time, median difference (s)"]["value"] == pytest.approx(-3.0)
-    assert paired_figures([docked] * 6, [late] * 6)["mcnemar_p"] == 2.0 * 0.5**6
+    told += lines_of(paired, "pairs")
+    told += lines_of(paired_figures([docked] * 6, [late] * 6), "late")
+    assert_as_before(told, Path(__file__).with_name("compared.txt"))
 
 
 def test_table_picture_and_numbers_are_left(tmp_path):

@@ -8,6 +8,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
+from shared import cases
 from study_runs import csv_rows, summary_of
 
 from bullet_lab.docking.database import ERRORS
@@ -140,7 +141,7 @@ def test_a_stopped_campaign_goes_on_where_it_was_and_the_order_does_not_matter(
     assert_same_results(tmp_path, reference)
 
 
-@pytest.mark.parametrize("dockings", [30, 10])
+@cases("dockings: [30, 10]")
 def test_a_finished_campaign_runs_nothing_again(reference, tmp_path, dockings):
     shutil.copy(reference / "dockings.jsonl", tmp_path)
     summary = campaign(tmp_path, nothing, dockings)
@@ -172,15 +173,13 @@ def test_an_error_of_the_docking_itself_is_a_crash_too():
     assert list(record) == list(fake_trial(DrawSettings(), 3))
 
 
-@pytest.mark.parametrize(
-    ("values", "result"),
-    [
-        ({}, "docked"),
-        ({"wall_contacts": 1}, "wall_contact"),
-        ({"error_name": "TIMED_OUT"}, "timed_out"),
-        ({"lateral_error_m": -0.0031}, "inaccurate"),
-    ],
-)
+@cases("""
+values, result:
+  - [{}, docked]
+  - [{wall_contacts: 1}, wall_contact]
+  - [{error_name: TIMED_OUT}, timed_out]
+  - [{lateral_error_m: -0.0031}, inaccurate]
+""")
 def test_a_docking_counts_only_if_it_is_true(values, result):
     right = {"error_name": "NONE", "lateral_error_m": 0.0, "yaw_error_deg": 0.0}
 

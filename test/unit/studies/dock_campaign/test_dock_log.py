@@ -1,4 +1,5 @@
 import pytest
+from shared import cases
 
 from bullet_lab.core.files import FileError
 from bullet_lab.errors import LabError
@@ -23,7 +24,7 @@ def written(path, *indices):
     log.close()
 
 
-@pytest.mark.parametrize("kept", [1, -1])
+@cases("kept: [1, -1]")
 def test_a_half_written_last_line_is_cut_off(path, kept):
     written(path, 0, 1)
     lines = path.read_bytes().splitlines(keepends=True)
@@ -52,8 +53,13 @@ def test_another_campaign_is_refused_with_what_differs(path):
     assert path.read_bytes() == before
 
 
-@pytest.mark.parametrize("place", [0, 1])
-@pytest.mark.parametrize("line", ["hello\n", "[1]\n", '{"x": 1}\n'])
+@cases("place: [0, 1]")
+@cases(r"""
+line:
+  - "hello\n"
+  - "[1]\n"
+  - "{\"x\": 1}\n"
+""")
 def test_another_file_or_a_broken_line_is_refused(path, line, place):
     written(path, 0, 1)
     lines = path.read_text().splitlines(keepends=True)

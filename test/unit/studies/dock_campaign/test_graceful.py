@@ -6,6 +6,7 @@ from dataclasses import replace
 import docking_standin as standin
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.docking.geometry import Viewpoint, corner_points
@@ -20,7 +21,7 @@ from bullet_lab.studies.dock_campaign.graceful import (
 )
 
 
-@pytest.mark.parametrize("heading", [-2.0, 0.1])
+@cases("heading: [-2.0, 0.1]")
 def test_a_target_straight_ahead_is_the_closed_form(heading):
     # With delta = 0 it is the slow subsystem's steering alone.
     v, w = graceful_command((1.5, 0.0, heading), NAV2)

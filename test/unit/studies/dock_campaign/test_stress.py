@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from shared import cases
 from study_runs import summary_of
 from test_dock_campaign import assert_same_results, in_order, outcome_of, shuffled
 
@@ -69,7 +70,7 @@ def test_docking_is_told_what_is_not_so():
 LEARNED = CalibrationErrors(*(Learned(math.radians(1.0), 0.001) for _ in range(7)))
 
 
-@pytest.mark.parametrize(("over", "result"), [(0.0029, "docked"), (0.0045, "inaccurate")])
+@cases("over, result: [[0.0029, docked], [0.0045, inaccurate]]")
 def test_what_the_stress_costs_is_added_to_the_tolerance(over, result):
     def outcome(scenario):
         beside = abs(scenario.stress.mount_y_m) + over

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
@@ -19,8 +20,6 @@ from bullet_lab.studies.noise_study.statistics import (
     study_case,
 )
 from bullet_lab.studies.paths import resample, tum_text
-
-CASES = [("report", 0.5, 0.9), ("probabilistic", 0.2, 20.0)]
 
 
 def square(laps=1, rest=10):
@@ -42,7 +41,7 @@ def measured(trajectory, model, std, count=4):
     return [(dict(zip(names, row)), path) for row, path in zip(rows, estimates)]
 
 
-@pytest.mark.parametrize(("model", "std", "rate"), CASES)
+@cases("model, std, rate: [[report, 0.5, 0.9], [probabilistic, 0.2, 20.0]]")
 def test_errors_and_drift_by_definition(model, std, rate):
     reference = resample(square(), rate)
     travelled = reference.travelled()
@@ -101,9 +100,7 @@ def test_closure_error_of_each_lap():
             assert values[f"closure_error_lap_{number}_m"] == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(
-    ("turn", "count"), [(0.0, 0), (340.0, 0), (355.0, 1), (365.0, 1), (-715.0, 2)]
-)
+@cases("turn, count: [[0.0, 0], [340.0, 0], [355.0, 1], [365.0, 1], [-715.0, 2]]")
 def test_a_lap_is_a_full_turn_either_way(turn, count):
     heading = np.radians(np.linspace(0.0, turn, 400))
     poses = np.column_stack([np.sin(heading), np.cos(heading), wrap(heading)])

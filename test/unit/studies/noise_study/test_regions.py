@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from noise_checks import drawn_errors
+from shared import cases
 
 from bullet_lab.core.se2 import logarithm, wrapped
 from bullet_lab.core.trajectory import Trajectory
@@ -105,25 +106,25 @@ def test_a_region_without_volume_is_none():
 
 
 RIGHT = Region((0.5, 0.95, 0.99), ((0.4, 0.6), (0.93, 0.97), (0.98, 1.0)), 3.0, (2.9, 3.1))
-WRONG, LARGE = (
+SMALL, LARGE = (
     replace(RIGHT, bands=((0.4, 0.6), band, (0.98, 1.0))) for band in ((0.92, 0.935), (0.965, 0.98))
 )
 
 
-@pytest.mark.parametrize(
-    ("found", "until"),
-    [
-        ([RIGHT] * 3, 3.0),
-        ([WRONG, RIGHT, RIGHT], 0.0),
-        ([RIGHT, RIGHT, WRONG], 2.0),
-        # Too large a region is wrong too.
-        ([RIGHT, LARGE, RIGHT], 1.0),
-        ([None, RIGHT, RIGHT], 3.0),
-        ([None, WRONG, RIGHT], 0.0),
-        ([None] * 3, None),
-    ],
-)
+@cases("""
+found, until:
+  - [right right right, 3.0]
+  - [small right right, 0.0]
+  - [right right small, 2.0]
+  # Too large a region is wrong too.
+  - [right large right, 1.0]
+  - [none right right, 3.0]
+  - [none small right, 0.0]
+  - [none none none, null]
+""")
 def test_how_far_a_region_is_right(found, until):
+    regions = {"right": RIGHT, "small": SMALL, "large": LARGE}
+    found = [regions.get(name) for name in found.split()]
     assert right_up_to([1.0, 2.0, 3.0], found) == until
 
 

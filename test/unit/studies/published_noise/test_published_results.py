@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import beta
+from shared import cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import NONE, Defects, combinations
@@ -166,15 +167,13 @@ def test_what_figure_1b_shows(package):
     assert np.hypot(*(figure.points[-1] - figure.perfect_corners[-1])) < 1e-3
 
 
-@pytest.mark.parametrize(
-    "text, error",
-    [
-        ("", "has to name the columns series, x_m, y_m"),
-        ("series,x_m,y_m\nfig1b_noisy,1\n", "line 2: a value is not a number"),
-        ("series,x_m,y_m\nfig1b_noisy,0,0\n", "no path fig1b_perfect"),
-        ("series,x_m,y_m\nfig1b_noisy,0,0\nfig1b_perfect,1,1\n", "four sides"),
-    ],
-)
+@cases(r"""
+text, error:
+  - ["", "has to name the columns series, x_m, y_m"]
+  - ["series,x_m,y_m\nfig1b_noisy,1\n", "line 2: a value is not a number"]
+  - ["series,x_m,y_m\nfig1b_noisy,0,0\n", no path fig1b_perfect]
+  - ["series,x_m,y_m\nfig1b_noisy,0,0\nfig1b_perfect,1,1\n", four sides]
+""")
 def test_a_bad_figure_file(tmp_path, text, error):
     path = tmp_path / "figure.csv"
     with pytest.raises(LabError, match="cannot read"):

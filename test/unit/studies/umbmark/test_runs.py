@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
@@ -50,7 +51,7 @@ def test_files_of_both_ways_say_what_the_wheels_are(tmp_path):
     assert found.base_error == pytest.approx(WRONG.base_error, rel=1e-3)
 
 
-@pytest.mark.parametrize(("shift", "share"), [(1000.0, 1.0), (0.0, 0.7)])
+@cases("shift, share: [[1000.0, 1.0], [0.0, 0.7]]")
 def test_a_truth_of_another_time_is_refused(shift, share, tmp_path):
     true, reported = recorded(0.5)
     count = int(share * len(true.stamps))

@@ -4,6 +4,7 @@ import math
 
 import pytest
 from control_robots import CAR, listen, run, spawn_car
+from shared import cases
 
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 
@@ -28,13 +29,11 @@ def drive(world, car, vx, angle, seconds, **parameters):
     return start.inverse() * robot.pose(), samples[-1]
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "ackermann_steering_controller/AckermannSteeringController",
-        "steer_drive_controller/SteerDriveController",
-    ],
-)
+@cases("""
+kind:
+  - ackermann_steering_controller/AckermannSteeringController
+  - steer_drive_controller/SteerDriveController
+""")
 def test_it_drives_a_metre(world, car, kind):
     driven, told = drive(world, car, 0.25, 0.0, 4.0, type=kind)
     assert driven.position[:2] == pytest.approx((1.0, 0.0), abs=0.01)
@@ -44,7 +43,7 @@ def test_it_drives_a_metre(world, car, kind):
     assert told.pose_variances == (0.001, 0.001, 1e6, 1e6, 1e6, 0.03)
 
 
-@pytest.mark.parametrize("angle", [-0.5, 0.2, 0.9])
+@cases("angle: [-0.5, 0.2, 0.9]")
 def test_the_radius_of_the_circle_is_that_of_the_steering_angle(world, car, angle):
     driven, told = drive(world, car, 0.2, angle, 3.0)
     x, y, _ = driven.position

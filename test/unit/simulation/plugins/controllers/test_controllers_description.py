@@ -1,8 +1,8 @@
 import math
 
 import pytest
-import yaml
 from control_robots import TRANSMISSION, robot_urdf
+from shared import cases
 
 from bullet_lab.simulation.plugins.controllers import ControlParameters
 from bullet_lab.simulation.plugins.controllers.joints import (
@@ -22,7 +22,11 @@ def interfaces(urdf):
     return {name: joint.interface for name, joint in described_joints(urdf, "bot").items()}
 
 
-@pytest.mark.parametrize("prefix", ["", "hardware_interface/"])
+@cases("""
+prefix:
+  - ""
+  - hardware_interface/
+""")
 def test_interfaces_are_read_with_and_without_their_prefix(prefix):
     assert interfaces(robot_urdf(prefix + VELOCITY, prefix + EFFORT)) == {
         "left_wheel_joint": VELOCITY,
@@ -31,19 +35,17 @@ def test_interfaces_are_read_with_and_without_their_prefix(prefix):
     }
 
 
-# In it, {0} is a type, {1} a joint with an interface and {2} an actuator.
-ODD = """
-- ['{1}{2}', no <type>]
-- ['{0}{2}', no joints]
-- ['{0}{1}{1}{2}', 2 joints]
-- ['{0}<joint name="arm"/>{2}', no <hardwareInterface>]
-- ['{0}<joint name="arm"><hardwareInterface>MagicInterface</hardwareInterface></joint>{2}',
-   "'MagicInterface'"]
-- ['{0}{1}', no <actuator>]
-"""
-
-
-@pytest.mark.parametrize("content, complaint", yaml.safe_load(ODD))
+@cases("""
+content, complaint:
+  # In it, {0} is a type, {1} a joint with an interface and {2} an actuator.
+  - ['{1}{2}', no <type>]
+  - ['{0}{2}', no joints]
+  - ['{0}{1}{1}{2}', 2 joints]
+  - ['{0}<joint name="arm"/>{2}', no <hardwareInterface>]
+  - ['{0}<joint name="arm"><hardwareInterface>MagicInterface</hardwareInterface></joint>{2}',
+     "'MagicInterface'"]
+  - ['{0}{1}', no <actuator>]
+""")
 def test_a_transmission_without_sense_is_named_and_the_rest_stays(caplog, content, complaint):
     good = TRANSMISSION.format(joint="wheel", interface=VELOCITY)
     content = content.format(TYPE, JOINT, MOTOR)
@@ -77,16 +79,14 @@ def test_parameters_change_limits():
     assert limits == JointLimits(-math.inf, math.inf, 0.5, 3.0, 7.0)
 
 
-WAYS = """
-- [continuous, 3.0, -3.0, 0.2831853]
-- [continuous, 40.0, 40.5, 0.5]
-# Over the end of the limits there is no way, short as it is.
-- [revolute, 2.0, -2.0, -4.0]
-- [prismatic, 2.0, -2.0, -4.0]
-"""
-
-
-@pytest.mark.parametrize("kind, position, target, way", yaml.safe_load(WAYS))
+@cases("""
+kind, position, target, way:
+  - [continuous, 3.0, -3.0, 0.2831853]
+  - [continuous, 40.0, 40.5, 0.5]
+  # Over the end of the limits there is no way, short as it is.
+  - [revolute, 2.0, -2.0, -4.0]
+  - [prismatic, 2.0, -2.0, -4.0]
+""")
 def test_the_way_to_a_target(kind, position, target, way):
     joint = DescribedJoint("arm", kind, limits=JointLimits(-2.5, 2.5))
     assert joint.error(position, target) == pytest.approx(way)

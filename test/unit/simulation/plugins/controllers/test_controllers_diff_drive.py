@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 import yaml
 from control_robots import listen, run, spawn
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlError
@@ -111,14 +112,12 @@ def test_it_is_adjusted_while_it_drives(world):
     assert rims == pytest.approx((0.075 / 0.03, 0.525 / 0.072))
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("wheel_separation_multiplier", math.nan),
-        ("right_wheel_radius_multiplier", 0.0),
-        ("publish_rate", -1.0),
-    ],
-)
+@cases("""
+name, value:
+  - [wheel_separation_multiplier, .nan]
+  - [right_wheel_radius_multiplier, 0.0]
+  - [publish_rate, -1.0]
+""")
 def test_what_cannot_be_adjusted_changes_nothing(world, name, value):
     _, controller, _ = drive(world)
     before = controller.separation, controller.radii

@@ -1,7 +1,7 @@
 import pytest
-import yaml
 from arm_robots import CONFIG, NAMES, Sent, spawn_arm, trajectory
 from control_robots import control_of, run
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlError
@@ -32,7 +32,7 @@ def gripper(world, kind="effort", box=True, change=lambda urdf: urdf, **paramete
     return controller, lambda: [body.joint_state(name).position for name in FINGERS]
 
 
-@pytest.mark.parametrize("kind", ["effort", "position"])
+@cases("kind: [effort, position]")
 def test_a_gripper_reaches_its_goal_or_stalls_at_a_box(world, kind):
     controller, fingers = gripper(world, kind)
     goal = Sent(controller, GripperSample(0.02, 5.0), world, 0.5)
@@ -87,15 +87,13 @@ def test_its_joint_must_be_known(world):
         gripper(world, joint="tail")
 
 
-MIMICS = """
-- [<multiplier>-0.5</multiplier><offset>0.03</offset>, 0.02]
-- [<sensitiveness>0.04</sensitiveness>, 0.0]
-- [<hasPID/>, 0.02]
-- [<hasPID>false</hasPID>, 0.02]
-"""
-
-
-@pytest.mark.parametrize("tags, expected", yaml.safe_load(MIMICS))
+@cases("""
+tags, expected:
+  - [<multiplier>-0.5</multiplier><offset>0.03</offset>, 0.02]
+  - [<sensitiveness>0.04</sensitiveness>, 0.0]
+  - [<hasPID/>, 0.02]
+  - [<hasPID>false</hasPID>, 0.02]
+""")
 def test_a_joint_mimics_another_one(world, tags, expected):
     wanted = {"p": 500.0, "d": 10.0}
     controller, fingers = gripper(

@@ -1,5 +1,6 @@
 import pytest
 from control_robots import control_of, run, spawn
+from shared import cases
 
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.samples import JointCommands
@@ -9,7 +10,7 @@ JOINT = {"joint": "turntable_joint"}
 WHEELS = ["left_wheel_joint", "right_wheel_joint"]
 
 
-@pytest.mark.parametrize("wrong", [(1.0, 2.0, 3.0), (1.0, float("nan"))])
+@cases("wrong: [[1.0, 2.0, 3.0], [1.0, .nan]]")
 def test_a_group_refuses_what_makes_no_sense(manager, wrong):
     kind = "velocity_controllers/JointGroupVelocityController"
     controller = run(manager, "wheels", type=kind, joints=WHEELS)

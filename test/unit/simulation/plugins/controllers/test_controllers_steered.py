@@ -5,6 +5,7 @@ import math
 import pytest
 import yaml
 from control_robots import LENGTH, PLACES, RADIUS, control_of, listen, run, spawn_base
+from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins.controllers import ControlError
@@ -81,26 +82,24 @@ def expected(vx, vy, wz, seconds):
     return chord * x, chord * y, wz * seconds
 
 
-# A controller, what differs of the robot, and the velocity.
-DRIVES = """
-- [base, {}, [0.25, 0, 0]]
-- [base, {}, [-0.25, 0, 0]]
-- [base, {}, [0, 0.25, 0]]
-- [base, {}, [0.1, -0.2, 0]]
-- [base, {}, [0, 0, 0.5]]
-- [base, {}, [0.2, 0.1, -0.3]]
-- [base, &forks {fork: PositionJointInterface, kind: revolute}, [0, -0.25, 0.2]]
-- [base, {<<: *forks, least: -0.1, most: 3.1}, [0, -0.2, 0]]
-- [by efforts, {axle: EffortJointInterface}, [0.2, 0.1, 0.3]]
-- [four, *forks, [0.25, 0, 0]]
-- [four, *forks, [0.3, 0, 0.4]]
-- [four, *forks, [-0.3, 0, 0.4]]
-- [four, {<<: *forks, offset: 0.05}, [0.3, 0, 0.4]]
-- [four, *forks, [0.2, 0.1, 0]]
-"""
-
-
-@pytest.mark.parametrize("given, robot, velocity", yaml.safe_load(DRIVES))
+@cases("""
+given, robot, velocity:
+  # A controller, what differs of the robot, and the velocity.
+  - [base, {}, [0.25, 0, 0]]
+  - [base, {}, [-0.25, 0, 0]]
+  - [base, {}, [0, 0.25, 0]]
+  - [base, {}, [0.1, -0.2, 0]]
+  - [base, {}, [0, 0, 0.5]]
+  - [base, {}, [0.2, 0.1, -0.3]]
+  - [base, &forks {fork: PositionJointInterface, kind: revolute}, [0, -0.25, 0.2]]
+  - [base, {<<: *forks, least: -0.1, most: 3.1}, [0, -0.2, 0]]
+  - [by efforts, {axle: EffortJointInterface}, [0.2, 0.1, 0.3]]
+  - [four, *forks, [0.25, 0, 0]]
+  - [four, *forks, [0.3, 0, 0.4]]
+  - [four, *forks, [-0.3, 0, 0.4]]
+  - [four, {<<: *forks, offset: 0.05}, [0.3, 0, 0.4]]
+  - [four, *forks, [0.2, 0.1, 0]]
+""")
 def test_it_drives_as_commanded_and_reports_it(world, given, robot, velocity):
     driven, told = drive(world, {**KNOWN[given], **FAST}, velocity, 2.0, **robot)
     x, y, yaw = expected(*velocity, 2.0)
@@ -148,16 +147,14 @@ def car(world, velocity, seconds, **hardware):
     return instance, controller, samples[-1]
 
 
-CARS = """
-- [{}, 0.0, 0.0, 0.0]
-# tan(0.3) / (1 -+ 0.2 tan(0.3)) for a width of 0.8 lengths.
-- [{}, 0.3, 0.31851, 0.28347]
-- [{}, -0.3, -0.28347, -0.31851]
-- [{enable_ackermann_link: false}, 0.3, 0.3, 0.3]
-"""
-
-
-@pytest.mark.parametrize("hardware, angle, left, right", yaml.safe_load(CARS))
+@cases("""
+hardware, angle, left, right:
+  - [{}, 0.0, 0.0, 0.0]
+  # tan(0.3) / (1 -+ 0.2 tan(0.3)) for a width of 0.8 lengths.
+  - [{}, 0.3, 0.31851, 0.28347]
+  - [{}, -0.3, -0.28347, -0.31851]
+  - [{enable_ackermann_link: false}, 0.3, 0.3, 0.3]
+""")
 def test_a_car_of_steer_bot_hardware_drives_and_steers(world, hardware, angle, left, right):
     instance, controller, told = car(world, (0.25, 0.0, angle), 2.0, **hardware)
     assert [joint.name for joint in controller.joints] == ["rear_wheel_joint", "front_steer_joint"]
@@ -172,14 +169,12 @@ def test_a_car_of_steer_bot_hardware_drives_and_steers(world, hardware, angle, l
     assert pose.yaw == pytest.approx(told.pose.yaw, abs=0.08)
 
 
-WRONG = """
-- [{virtual_rear_wheels: null}, virtual_rear_wheels is missing or empty]
-- [{virtual_front_steers: []}, virtual_front_steers is missing or empty]
-- [{wheel_separation_h: 0}, wheel_separation_h has to be positive]
-"""
-
-
-@pytest.mark.parametrize("hardware, complaint", yaml.safe_load(WRONG))
+@cases("""
+hardware, complaint:
+  - [{virtual_rear_wheels: null}, virtual_rear_wheels is missing or empty]
+  - [{virtual_front_steers: []}, virtual_front_steers is missing or empty]
+  - [{wheel_separation_h: 0}, wheel_separation_h has to be positive]
+""")
 def test_wrong_parameters_of_steer_bot_hardware_are_named(world, hardware, complaint):
     with pytest.raises(ControlError, match=f"hardware_gazebo/{complaint}"):
         car(world, (0.0, 0.0, 0.0), 0.1, **hardware)

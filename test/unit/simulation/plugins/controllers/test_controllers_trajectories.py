@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-import yaml
 from arm_robots import NAMES, Sent, arm_controller, positions, spawn_arm, trajectory
 from control_robots import listen, run
+from shared import cases
 
 from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.controllers.trajectories import (
@@ -22,17 +22,15 @@ def arc(part):
     return tuple(GOAL * (3.0 * part**2 - 2.0 * part**3)), tuple(GOAL * 3.0 * part * (1 - part))
 
 
-ENDS = """
-- [[1.0, null, null], [3.0, null, null], [2.0, 1.0, 0.0]]
-- [[1.0, 0.0, 0.0], [3.0, null, null], [2.0, 1.0, 0.0]]
-- [[1.0, 0.0, 5.0], [3.0, 0.0, null], [2.0, 1.5, 0.0]]
-- [[1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.875, 0.0]]
-# Of t + t² + 0.5 t³ + 0.1 t⁴ - 0.03 t⁵.
-- [[0.0, 1.0, 2.0], [10.64, 11.8, 8.0], [2.57, 4.75, 5.6]]
-"""
-
-
-@pytest.mark.parametrize("one, two, middle", yaml.safe_load(ENDS))
+@cases("""
+one, two, middle:
+  - [[1.0, null, null], [3.0, null, null], [2.0, 1.0, 0.0]]
+  - [[1.0, 0.0, 0.0], [3.0, null, null], [2.0, 1.0, 0.0]]
+  - [[1.0, 0.0, 5.0], [3.0, 0.0, null], [2.0, 1.5, 0.0]]
+  - [[1.0, 0.0, 0.0], [3.0, 0.0, 0.0], [2.0, 1.875, 0.0]]
+  # Of t + t² + 0.5 t³ + 0.1 t⁴ - 0.03 t⁵.
+  - [[0.0, 1.0, 2.0], [10.64, 11.8, 8.0], [2.57, 4.75, 5.6]]
+""")
 def test_a_spline_is_as_smooth_as_its_ends_are_known(one, two, middle):
     segment = Segment(4.0, 6.0, spline(one, two, 2.0), 0.0)
     assert segment.at(5.0) == pytest.approx(middle)
@@ -40,7 +38,7 @@ def test_a_spline_is_as_smooth_as_its_ends_are_known(one, two, middle):
     assert segment.at(7.0) == pytest.approx((two[0], 0.0, 0.0))
 
 
-@pytest.mark.parametrize("kind", ["position", "velocity", "effort"])
+@cases("kind: [position, velocity, effort]")
 def test_an_arm_follows_ten_points(world, kind):
     controller = arm_controller(world, kind)
     states = listen(controller.states)
@@ -63,22 +61,22 @@ def test_an_arm_follows_ten_points(world, kind):
 
 
 JOINTS = {"all": NAMES, "five": NAMES[:5], "none": (), "tail": ("tail",), "twice": NAMES[:5] * 2}
-# Points, of which joints, from when on, the code and what is said.
-INVALID = """
-- [[[1.0, 0.5]], five, 0, -2, needed are shoulder_pan_joint]
-- [[], none, 0, -2, it names no joints]
-- [[[1.0, 0.5]], tail, 0, -2, it names tail]
-- [[[1.0, 0.5]], twice, 0, -2, needed are]
-- [[[1.0, [0.5]]], all, 0, -1, point 1 of 1 has 1/0/0 positions]
-- [[[1.0, []]], all, 0, -1, 0/0/0 positions/velocities/accelerations for 6]
-- [[[1.0, 0.5, .nan]], all, 0, -1, point 1 of 1 is not finite]
-- [[[1.0, 0.5], [1.0, 0.6]], all, 0, -1, 'point 2 of 2: 1 s comes after 1 s']
-- [[[0.0, 0.5]], all, 0, -1, 'all points are past: the last stamp']
-- [[[0.1, 0.5]], all, 1.0e-9, -3, was 0.410 s ago]
-"""
 
 
-@pytest.mark.parametrize("points, joints, since, code, text", yaml.safe_load(INVALID))
+@cases("""
+points, joints, since, code, text:
+  # Points, of which joints, from when on, the code and what is said.
+  - [[[1.0, 0.5]], five, 0, -2, needed are shoulder_pan_joint]
+  - [[], none, 0, -2, it names no joints]
+  - [[[1.0, 0.5]], tail, 0, -2, it names tail]
+  - [[[1.0, 0.5]], twice, 0, -2, needed are]
+  - [[[1.0, [0.5]]], all, 0, -1, point 1 of 1 has 1/0/0 positions]
+  - [[[1.0, []]], all, 0, -1, 0/0/0 positions/velocities/accelerations for 6]
+  - [[[1.0, 0.5, .nan]], all, 0, -1, point 1 of 1 is not finite]
+  - [[[1.0, 0.5], [1.0, 0.6]], all, 0, -1, 'point 2 of 2: 1 s comes after 1 s']
+  - [[[0.0, 0.5]], all, 0, -1, 'all points are past: the last stamp']
+  - [[[0.1, 0.5]], all, 1.0e-9, -3, was 0.410 s ago]
+""")
 def test_invalid_goals_are_rejected(world, points, joints, since, code, text):
     controller = arm_controller(world)
     world.run_for(0.5)
@@ -90,18 +88,16 @@ def test_invalid_goals_are_rejected(world, points, joints, since, code, text):
     assert positions(controller) == pytest.approx([0.0] * 6, abs=1e-3)
 
 
-VIOLATED = """
-# 3 rad/s are allowed.
-- [[0.3, 1.8], {}, -4, '''shoulder_pan_joint'': path error in position is 0.1']
-- [[0.3, 1.8], {path: {shoulder_lift_joint: [0.5, 0.9]}}, -4, velocity is 6; allowed are 0.9]
-# The limits are 3.1 rad.
-- [[2.0, 3.3, 0.0], {}, -4, path error in position is 0.1]
-- [[2.0, [3.3, 0, 0, 0, 0, 0], 0.0], {path: {shoulder_pan_joint: [-1, 0]}, seconds: 0.2}, -5,
-   '''shoulder_pan_joint'': goal error in position is 0.2; allowed are 0.02']
-"""
-
-
-@pytest.mark.parametrize("point, tolerances, code, text", yaml.safe_load(VIOLATED))
+@cases("""
+point, tolerances, code, text:
+  # 3 rad/s are allowed.
+  - [[0.3, 1.8], {}, -4, '''shoulder_pan_joint'': path error in position is 0.1']
+  - [[0.3, 1.8], {path: {shoulder_lift_joint: [0.5, 0.9]}}, -4, velocity is 6; allowed are 0.9]
+  # The limits are 3.1 rad.
+  - [[2.0, 3.3, 0.0], {}, -4, path error in position is 0.1]
+  - [[2.0, [3.3, 0, 0, 0, 0, 0], 0.0], {path: {shoulder_pan_joint: [-1, 0]}, seconds: 0.2}, -5,
+     '''shoulder_pan_joint'': goal error in position is 0.2; allowed are 0.02']
+""")
 def test_a_violated_tolerance_is_named(world, point, tolerances, code, text):
     controller = arm_controller(world)
     content = TrajectoryGoal(trajectory(point), **{**DEFAULT, **tolerances})
@@ -124,7 +120,7 @@ def test_a_new_goal_and_a_topic_preempt(world):
     assert positions(controller) == pytest.approx([0.2] * 6, abs=1e-3)
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.2])
+@cases("seconds: [0.0, 0.2]")
 def test_a_cancelled_goal_stops_the_arm(world, seconds):
     controller = arm_controller(world, stop_trajectory_duration=seconds)
     goal = Sent(controller, trajectory((1.0, 1.0)), world, 0.5)

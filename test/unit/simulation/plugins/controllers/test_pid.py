@@ -1,6 +1,7 @@
 import math
 
 import pytest
+from shared import cases
 
 from bullet_lab.simulation.plugins.controllers import ControlError, ControlParameters
 from bullet_lab.simulation.plugins.controllers.joints import Pid
@@ -21,7 +22,7 @@ def test_without_a_clamp_the_integral_contributes_nothing():
     assert [pid.command(1.0, 0.1) for _ in range(3)] == [0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(("antiwindup", "steps_to_turn"), [(False, 90), (True, 1)])
+@cases("antiwindup, steps_to_turn: [[false, 90], [true, 1]]")
 def test_only_antiwindup_keeps_the_integral_itself_small(antiwindup, steps_to_turn):
     pid = pid_of(p=0.0, i=1.0, i_clamp=1.0, antiwindup=antiwindup)
     for _ in range(100):
