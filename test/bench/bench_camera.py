@@ -12,13 +12,13 @@ every frame arrives, and what it costs.
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from typing import Any, Dict, List
 
 import numpy as np
@@ -187,12 +187,11 @@ def frame_times(frames: int) -> List[Row]:
     finally:
         listener.kill()
     rows: List[Row] = []
-    of = f"LP_NUM_THREADS={os.environ['LP_NUM_THREADS']}"
     for samples, asked in ASKED.items():
         bare, whole = (1e3 * float(np.median(t[samples])) for t in (watch.bare, watch.bridge))
-        title = f"{of}, {samples} samples: drawing to publishing"
+        title = f"{samples} samples: drawing to publishing"
         rows += [
-            (f"{of}, {samples} samples: getCameraImage at its fastest, ms", bare, ".1f", ""),
+            (f"{samples} samples: getCameraImage at its fastest, ms", bare, ".1f", ""),
             (f"{title}, ms", whole, ".1f", ""),
             (f"{title} / getCameraImage", whole / bare, ".2f", f"<= {asked:g}"),
         ]
@@ -246,31 +245,13 @@ def wait_for(condition: Any, what: str) -> None:
         time.sleep(0.05)
 
 
-def frames_with(threads: int, frames: int, out: str) -> List[Row]:
-    """Return the rows of a process whose driver has so many threads."""
-    done = subprocess.run(
-        [sys.executable, __file__, out, "--alone", "--frames", str(frames)],
-        env={**os.environ, "LP_NUM_THREADS": str(threads)},
-        check=True,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    # PyBullet's plugin talks, too.
-    (line,) = (line for line in done.stdout.splitlines() if line.startswith("["))
-    return json.loads(line)
-
-
 def main() -> None:
-    """Measure, print and write; --alone prints the times of frames in this process."""
-    wanted = options(__doc__, frames=100, seconds=20.0, alone=False)
-    if wanted.alone:
-        print(json.dumps(frame_times(wanted.frames)))
-        return
+    """Measure, print and write."""
+    wanted = options(__doc__, frames=100, seconds=20.0)
     start_ros()
-    rows: List[Row] = []
-    for threads in (0, 2):
-        print(f"frames with {threads} threads of the driver …", flush=True)
-        rows += frames_with(threads, wanted.frames, str(wanted.out))
+    print("frames …", flush=True)
+    with ProcessPoolExecutor(1, get_context("spawn")) as another:
+        rows = another.submit(frame_times, wanted.frames).result()
     print("real time …", flush=True)
     rospy.set_param("/use_sim_time", True)
     rows += real_time(wanted.seconds)

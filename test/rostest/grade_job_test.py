@@ -73,7 +73,7 @@ class GradeJobTest(unittest.TestCase):
         for exercise in EXERCISES:
             with self.subTest(exercise):
                 words = (f"exercise:={exercise}", f"class:={make_class(exercise)}")
-                out, printed = run_job("grade", *words, folder=FOLDER.name)
+                out, printed = run_job("grade", *words)
                 found = marks(out)
                 self.assertEqual("10.0", found[RIGHT]["points"], printed)
                 self.assertLess(float(found[WRONG]["points"]), 9.0, printed)
@@ -86,7 +86,7 @@ class GradeJobTest(unittest.TestCase):
             shutil.copytree(SUBMISSIONS / "hostile" / name, group / name)
         (group / "empty").mkdir()
         words = (f"exercise:={exercise}", f"class:={group}")
-        out, printed = run_job("grade", *words, folder=FOLDER.name)
+        out, printed = run_job("grade", *words)
         found = marks(out)
         for name, why in WHY.items():
             self.assertRegex(found[name]["why"], f"^({why})", printed)
@@ -100,16 +100,16 @@ class GradeJobTest(unittest.TestCase):
 
     def test_one_submission_is_graded_and_kept(self):
         words = ("exercise:=square", f"submission:={SUBMISSIONS / 'hostile' / 'nothing'}")
-        out, _ = run_job("grade", *words, folder=FOLDER.name)
+        out, _ = run_job("grade", *words)
         mark = json.loads((out / "grade.json").read_text())
         self.assertEqual((0, 10), (mark["points"], mark["of"]))
         mark["why"] = ["kept"]
         (out / "grade.json").write_text(json.dumps(mark))
-        _, printed = run_job("grade", *words, folder=FOLDER.name, out=out)
+        _, printed = run_job("grade", *words, out=out)
         self.assertIn("; kept", printed)
 
     def test_a_wrong_command_line_is_a_line(self):
-        _, printed = run_job("grade", folder=FOLDER.name, status=2)
+        _, printed = run_job("grade", status=2)
         self.assertIn("exercise is '': it must be one of beacon, goal, noise, square", printed)
 
 
