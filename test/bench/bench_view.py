@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import re
 import statistics
-import sys
 import time
 from typing import List
 
 from common import Bridge, Row, options, report, start_ros, urdf
-from lab_nodes import PACKAGE, Node, end_all
+from lab_nodes import Node, end_all
 
-sys.path.insert(0, str(PACKAGE / "test" / "rostest"))
-from view_looker import Looker, wait_for_url  # noqa: E402
+# `common` has added their folders to the path.
+from view_looker import Looker, wait_for_url  # isort: skip
 
 # Most of a core that may be used, in percent.
 ALLOWED = {"nobody": 1.0, "somebody": 15.0, "with an image": 25.0}

@@ -279,12 +279,11 @@ class NodeTest(unittest.TestCase):
         self.addCleanup(made.unregister)
         return made
 
-    def assert_bad_parameter(self, node, *words):
-        """Assert that a node ends with a line that has some words."""
-        self.assertEqual(2, node.wait(), node.err)
-        self.assertEqual(1, len(node.err.splitlines()), node.err)
-        for word in words:
-            self.assertIn(word, node.err)
+    def assert_ends_well(self, *nodes):
+        """Assert that nodes end with status 0 and no traceback."""
+        for node in nodes:
+            self.assertEqual(0, node.wait(), node.err)
+            self.assertNotIn("Traceback", node.err)
 
 
 def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint"):
