@@ -12,20 +12,21 @@ every frame arrives, and what it costs.
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, Dict, List
+from multiprocessing import get_context
+from typing import Dict, List
 
 import numpy as np
 import rospy
 from bullet_lab.msg import MarkerDetectionArray
 from common import Row, options, report, start_ros
 from lab_nodes import Node, end_all
+from lab_testing import Topic, wait_for
 from sensor_msgs.msg import CameraInfo
 
 from bullet_lab.core.pose import Pose
@@ -45,7 +46,6 @@ FRAME_RATE = 100.0
 SAMPLES = (1, 4)
 # What is asked for: of a bare call without and with multisampling.
 ASKED = {1: 0.6, 4: 1.3}
-PATIENCE = 60.0
 # Frames of the one and then of the other; the first of each do not count: they find the processor's
 # caches full of the other's data, and load the world the first time.
 BLOCK, SKIPPED = 12, 3
@@ -187,90 +187,56 @@ def frame_times(frames: int) -> List[Row]:
     finally:
         listener.kill()
     rows: List[Row] = []
-    of = f"LP_NUM_THREADS={os.environ['LP_NUM_THREADS']}"
     for samples, asked in ASKED.items():
         bare, whole = (1e3 * float(np.median(t[samples])) for t in (watch.bare, watch.bridge))
-        title = f"{of}, {samples} samples: drawing to publishing"
+        title = f"{samples} samples: drawing to publishing"
         rows += [
-            (f"{of}, {samples} samples: getCameraImage at its fastest, ms", bare, ".1f", ""),
+            (f"{samples} samples: getCameraImage at its fastest, ms", bare, ".1f", ""),
             (f"{title}, ms", whole, ".1f", ""),
             (f"{title} / getCameraImage", whole / bare, ".2f", f"<= {asked:g}"),
         ]
     return rows
 
 
-class Stamps:
-    """The simulated times of a topic's messages, in ms."""
-
-    def __init__(self, topic: str, kind: type):
-        self.times: List[int] = []
-        self._subscriber = rospy.Subscriber(topic, kind, self._receive, tcp_nodelay=True)
-
-    def _receive(self, message: Any) -> None:
-        self.times.append(message.header.stamp.to_nsec() // 1_000_000)
+def stamps(topic: Topic) -> List[int]:
+    """Return the simulated times of a topic's messages, in ms."""
+    return [stamp // 1_000_000 for stamp in topic.stamps()]
 
 
 def real_time(seconds: float) -> List[Row]:
     """Measure how the camera does at real-time factor 1 with `aruco.py` listening."""
     bridge = Node("pybullet_bridge", f"_world:={WORLD}", f"_robot:={ROBOT}", "_rtf:=1")
     aruco = Node("aruco", "_image:=/mycamera/image_raw", "__name:=aruco")
-    sent = Stamps("/mycamera/camera_info", CameraInfo)
-    seen = Stamps("/aruco/detections", MarkerDetectionArray)
+    sent = Topic("/mycamera/camera_info", CameraInfo, connected=False)
+    seen = Topic("/aruco/detections", MarkerDetectionArray, connected=False)
     try:
-        wait_for(lambda: len(seen.times) > 30, "detections")
+        seen.wait(31)
         loads = ThreadPoolExecutor(2)
-        first, start_time = sent.times[-1], time.monotonic()
+        first, start_time = stamps(sent)[-1], time.monotonic()
         of_bridge, of_aruco = loads.map(lambda node: node.percent(seconds), (bridge, aruco))
-        last, passed = sent.times[-1], time.monotonic() - start_time
+        last, passed = stamps(sent)[-1], time.monotonic() - start_time
         # The last one may still be looked at.
-        wait_for(lambda: seen.times[-1] >= last, "the last frame")
+        wait_for(lambda: stamps(seen)[-1] >= last, "the last frame")
     finally:
         end_all(aruco, bridge)
     expected = {-(-1000 * k // 30) for k in range(1, 10**6) if first < 1000 * k / 30 <= last}
     every = f"{len(expected)}"
     return [
         ("30 Hz, aruco.py: real-time factor", (last - first) / 1000.0 / passed, ".3f", ">= 0.99"),
-        ("frames sent", len(expected & set(sent.times)), "d", every),
-        ("frames processed by aruco.py", len(expected & set(seen.times)), "d", every),
+        ("frames sent", len(expected & set(stamps(sent))), "d", every),
+        ("frames processed by aruco.py", len(expected & set(stamps(seen))), "d", every),
         ("bridge, % of a core", of_bridge, ".0f", "<= 30"),
         ("aruco.py, % of a core", of_aruco, ".0f", ""),
     ]
 
 
-def wait_for(condition: Any, what: str) -> None:
-    """Wait until a condition holds; raises TimeoutError."""
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"waited in vain for {what}")
-        time.sleep(0.05)
-
-
-def frames_with(threads: int, frames: int, out: str) -> List[Row]:
-    """Return the rows of a process whose driver has so many threads."""
-    done = subprocess.run(
-        [sys.executable, __file__, out, "--alone", "--frames", str(frames)],
-        env={**os.environ, "LP_NUM_THREADS": str(threads)},
-        check=True,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    # PyBullet's plugin talks, too.
-    (line,) = (line for line in done.stdout.splitlines() if line.startswith("["))
-    return json.loads(line)
-
-
 def main() -> None:
-    """Measure, print and write; --alone prints the times of frames in this process."""
-    wanted = options(__doc__, frames=100, seconds=20.0, alone=False)
-    if wanted.alone:
-        print(json.dumps(frame_times(wanted.frames)))
-        return
+    """Measure, print and write."""
+    wanted = options(__doc__, frames=100, seconds=20.0)
     start_ros()
-    rows: List[Row] = []
-    for threads in (0, 2):
-        print(f"frames with {threads} threads of the driver …", flush=True)
-        rows += frames_with(threads, wanted.frames, str(wanted.out))
+    print("frames …", flush=True)
+    with ProcessPoolExecutor(1, get_context("spawn")) as another:
+        rows = another.submit(frame_times, wanted.frames).result()
     print("real time …", flush=True)
     rospy.set_param("/use_sim_time", True)
     rows += real_time(wanted.seconds)

@@ -1,7 +1,7 @@
 """Measures the noisy paths of the noise study; scripts/bench.sh noise.
 
-Ten levels of noise, a thousand paths of the simulated square at 20 Hz each, on one core: only to
-draw them, and with all metrics; beside the per-message loop of NoisyPath over the same messages.
+Ten levels of noise, a thousand paths of the simulated square at 20 Hz each, on one core; beside the
+per-message loop of NoisyPath over the same messages.
 Prints the best of some rounds, as others may be using the machine.
 The loop gives each message its covariances; the many paths have them from `exact_moments`, once.
 --rounds N. --paths N: at each of the levels.
@@ -15,7 +15,6 @@ import os
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 
-import resource  # noqa: E402
 import time  # noqa: E402
 from typing import Callable  # noqa: E402
 
@@ -25,7 +24,6 @@ from bullet_lab.core.trajectory import Trajectory  # noqa: E402
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator  # noqa: E402
 from bullet_lab.noise.odometry_noise import NoisyPath  # noqa: E402
 from bullet_lab.studies.noise_study.regions import level_rule  # noqa: E402
-from bullet_lab.studies.noise_study.statistics import study_case  # noqa: E402
 from bullet_lab.studies.noise_study.study import StudySettings, simulated_square  # noqa: E402
 from bullet_lab.studies.paths import resample  # noqa: E402
 
@@ -51,13 +49,6 @@ def draw(trajectory: Trajectory, paths: int) -> None:
             pass
 
 
-def study(trajectory: Trajectory, paths: int) -> None:
-    """Draw and measure all noisy paths, as the job does."""
-    for std in LEVELS:
-        generator = study_generator(1, MODEL, std, RATE)
-        study_case(trajectory, (MODEL, std, RATE), generator, paths, 1.0)
-
-
 def loop(trajectory: Trajectory) -> None:
     """Make some noisy paths message by message, with covariances, as noisy_odom does."""
     poses = trajectory.poses.tolist()
@@ -75,26 +66,20 @@ def main() -> None:
     trajectory = resample(simulated_square(), RATE)
     steps = len(LEVELS) * wanted.paths * (len(trajectory) - 1)
     loop_steps = len(LEVELS) * LOOP_PATHS * (len(trajectory) - 1)
-    drawn, studied, looped = [], [], []
+    drawn, looped = [], []
     for number in range(wanted.rounds):
         drawn.append(seconds(lambda: draw(trajectory, wanted.paths)))
-        studied.append(seconds(lambda: study(trajectory, wanted.paths)))
         looped.append(seconds(lambda: loop(trajectory)) / loop_steps)
         print(
-            f"round {number + 1} of {wanted.rounds}: {drawn[-1]:.2f} s to draw, "
-            f"{studied[-1]:.2f} s with metrics; the loop takes {1e6 * looped[-1]:.1f} us a message"
+            f"round {number + 1} of {wanted.rounds}: {drawn[-1]:.2f} s to draw; "
+            f"the loop takes {1e6 * looped[-1]:.1f} us a message"
         )
-    of_loop = steps * min(looped)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    share = steps * min(looped) / min(drawn)
     rows = [
         ("paths drawn, s", min(drawn), ".2f", f"<= {MOST_SECONDS:g}"),
-        ("paths drawn and measured, s", min(studied), ".2f", f"<= {MOST_SECONDS:g}"),
-        ("times as fast as the loop", of_loop / min(drawn), ".0f", f">= {LEAST_FACTOR:g}"),
-        ("the same with all metrics", of_loop / min(studied), ".0f", ""),
-        ("most memory of the process, MB", memory, ".0f", ""),
+        ("times as fast as the loop", share, ".0f", f">= {LEAST_FACTOR:g}"),
     ]
-    rounds = {"draw_s": drawn, "study_s": studied, "loop_s_per_message": looped}
-    report(wanted.out, rows, f"{steps} steps", **rounds)
+    report(wanted.out, rows, f"{steps} steps", draw_s=drawn, loop_s_per_message=looped)
 
 
 if __name__ == "__main__":

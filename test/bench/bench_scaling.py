@@ -13,10 +13,10 @@ import json
 import statistics
 import time
 from pathlib import Path
-from typing import Any, Dict, List, Sequence
+from typing import Any, List
 
 import rospy
-from common import Bridge, options, start_ros, urdf, write
+from common import Bridge, Row, options, report, start_ros, urdf
 from lab_nodes import end_all
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save
@@ -47,18 +47,12 @@ class Scaled(Bridge):
             rospy.Subscriber(f"{name}/{topic}", rospy.AnyMsg, self._receive)
             self._topics += 1
 
-    def factor(self, seconds: float) -> Dict[str, float]:
-        """Return simulated seconds per second, of the wall and of the bridge's own work."""
+    def factor(self, seconds: float) -> float:
+        """Return simulated seconds per second."""
         self._settle()
-        before, start = self._worked(), time.perf_counter()
+        start = time.perf_counter()
         self.step(round(1000 * seconds))
-        wall, work = time.perf_counter() - start, self._worked() - before
-        return {"wall": seconds / wall, "work": seconds / work}
-
-    def _worked(self) -> float:
-        """Return the processor time of all threads so far, in s; finer than the usual 10 ms."""
-        threads = Path(f"/proc/{self.process.pid}/task").glob("*/schedstat")
-        return 1e-9 * sum(int(path.read_text().split()[0]) for path in threads)
+        return seconds / (time.perf_counter() - start)
 
     def _settle(self) -> None:
         """Let robots get going, and see that all topics are there."""
@@ -77,13 +71,14 @@ class Scaled(Bridge):
         self._received += 1
 
 
-def measure(bench: str, rounds: int, seconds: float) -> List[Dict[str, float]]:
+def measure(bench: str, rounds: int, seconds: float) -> List[Row]:
     """Return the real-time factors for each number; medians of the rounds.
 
     All come from one bridge, to which robots or models are added on the way.
     """
     bridge = Scaled()
-    rows, there = [], 0
+    rows: List[Row] = []
+    there = 0
     try:
         if bench == "models":
             bridge.add("robots", 0)
@@ -93,35 +88,13 @@ def measure(bench: str, rounds: int, seconds: float) -> List[Dict[str, float]]:
             there = number
             # What is fast takes longer, to be measured as well.
             duration = seconds * max(1.0, EASY[bench] / number)
-            found = [bridge.factor(duration) for _ in range(rounds)]
-            figures = {key: statistics.median(row[key] for row in found) for key in found[0]}
-            rows.append({"number": number, **figures})
-            print(f"{number} {bench}: {figures['wall']:.2f}", flush=True)
+            factor = statistics.median(bridge.factor(duration) for _ in range(rounds))
+            asked = ">= 1" if (bench, number) == ("robots", ASKED_ROBOTS) else ""
+            rows.append((str(number), factor, ".2f", asked))
+            print(f"{number} {bench}: {factor:.2f}", flush=True)
     finally:
         end_all(bridge)
     return rows
-
-
-def growth(rows: Sequence[Dict[str, float]]) -> float:
-    """Return the work for each robot or model in the last row over that in the first.
-
-    At most 1 where the whole grows at most linearly.
-    """
-    first, *_, last = (1.0 / row["work"] / row["number"] for row in rows)
-    return last / first
-
-
-def print_rows(bench: str, rows: Sequence[Dict[str, float]]) -> None:
-    """Print what was measured beside what is asked for."""
-    columns = ("real-time factor", "by its own work", "µs a step each")
-    print(f"\n{bench:>8} {columns[0]:>18} {columns[1]:>16} {columns[2]:>15} asked")
-    for row in rows:
-        number = row["number"]
-        asked = ">= 1" if (bench, number) == ("robots", ASKED_ROBOTS) else ""
-        each = 1e3 / row["work"] / number
-        line = f"{number:>8} {row['wall']:>18.2f} {row['work']:>16.2f} {each:>15.2f} {asked}"
-        print(line.rstrip())
-    print(f"\nlast row over first, each: {growth(rows):.2f} (<= 1 is at most linear growth)")
 
 
 def draw(folder: Path) -> None:
@@ -134,11 +107,11 @@ def draw(folder: Path) -> None:
         axes.axhline(1.0, color=BLACK, linewidth=0.8, linestyle="--", label="real time")
         path = folder / f"{bench}.json"
         if path.is_file():
-            rows = json.loads(path.read_text())["rows"]
-            numbers = [row["number"] for row in rows]
-            axes.plot(numbers, [row["wall"] for row in rows], "o-", color=colour, label="measured")
+            factors = json.loads(path.read_text())["factors"]
+            numbers = NUMBERS[bench]
+            axes.plot(numbers, factors, "o-", color=colour, label="measured")
             if bench == "robots":
-                linear = [rows[0]["wall"] / n for n in numbers]
+                linear = [factors[0] / n for n in numbers]
                 axes.plot(numbers, linear, color=GREY, linewidth=0.9, label="linear")
         axes.legend()
     figure.suptitle("Steps of 1 ms; of each robot, odometry at 20 Hz and 360 rays at 10 Hz")
@@ -151,8 +124,7 @@ def main() -> None:
     wanted = options(__doc__, rounds=3, seconds=3.0)
     start_ros()
     rows = measure(wanted.out.stem, wanted.rounds, wanted.seconds)
-    print_rows(wanted.out.stem, rows)
-    write(wanted.out, {"growth": growth(rows), "rows": rows})
+    report(wanted.out, rows, wanted.out.stem, factors=[factor for _, factor, _, _ in rows])
     draw(wanted.out.parent)
     print(f"drawn in {wanted.out.parent / 'scaling.png'}")
 

@@ -9,44 +9,42 @@ nobody there, with somebody, and with one more robot's camera image of 10 Hz.
 from __future__ import annotations
 
 import re
-import sys
+import statistics
 import time
-from typing import Any, Dict, List
+from typing import List
 
-from common import Bridge, options, start_ros, urdf, write
-from lab_nodes import PACKAGE, Node, end_all
+from common import Bridge, Row, options, report, start_ros, urdf
+from lab_nodes import Node, end_all
 
-sys.path.insert(0, str(PACKAGE / "test" / "rostest"))
-from view_looker import Looker, wait_for_url  # noqa: E402
+# `common` has added their folders to the path.
+from view_looker import Looker, wait_for_url  # isort: skip
 
 # Most of a core that may be used, in percent.
 ALLOWED = {"nobody": 1.0, "somebody": 15.0, "with an image": 25.0}
 SETTLE_SECONDS = 5.0
 
 
-def measure(bridge: Bridge, view: Node, number: int, seconds: float, rounds: int) -> List[Any]:
-    """Return what the view costs in each of the three cases, medians and extremes of rounds."""
+def measure(bridge: Bridge, view: Node, number: int, seconds: float, rounds: int) -> List[Row]:
+    """Return what the view costs in each of the three cases, medians of rounds."""
     # Each says where it is as often as pictures are sent.
     block = re.sub(r"<odometryRate>[^<]*<", "<odometryRate>30<", urdf("block_robot"))
     for index in range(number):
         bridge.add_robot(index, block)
     url = wait_for_url(view.output)
-    rows = []
-    for case in ALLOWED:
+    rows: List[Row] = []
+    for case, allowed in ALLOWED.items():
         if case == "with an image":
             bridge.add_robot(number, urdf("camera_robot"))
         looker = Looker(url) if rows else None
         time.sleep(SETTLE_SECONDS)
         received = looker.received if looker else 0
-        percents = sorted(view.percent(seconds) for _ in range(rounds))
-        row: Dict[str, Any] = {"case": case, "percent": percents[rounds // 2], "rounds": percents}
+        percent = statistics.median(view.percent(seconds) for _ in range(rounds))
+        rows.append((f"{case}, % of a core", percent, ".1f", f"<= {allowed:g}"))
         if looker:
-            row["kB_per_s"] = (looker.received - received) / (seconds * rounds) / 1000.0
-            names = [name for name in looker.nodes if "/robots/" in name]
-            row["bodies"] = sum(len(looker.positions(name)) for name in names)
+            rate = (looker.received - received) / (seconds * rounds) / 1000.0
+            rows.append((f"{case}, kB/s", rate, ".0f", ""))
             looker.close()
-        print(f"{case}: {row['percent']:.1f} % of a core", flush=True)
-        rows.append(row)
+        print(f"{case}: {percent:.1f} % of a core", flush=True)
     return rows
 
 
@@ -62,14 +60,7 @@ def main() -> None:
         rows = measure(bridge, view, wanted.robots, wanted.seconds, wanted.rounds)
     finally:
         end_all(view, bridge)
-    print(f"\n{wanted.robots} robots, 30 pictures per second\n")
-    print(f"{'':16}{'% of a core':>12}{'allowed':>9}{'kB/s':>8}{'bodies':>8}")
-    for row in rows:
-        print(
-            f"{row['case']:16}{row['percent']:12.1f}{ALLOWED[row['case']]:9.0f}"
-            f"{row.get('kB_per_s', 0.0):8.0f}{row.get('bodies', 0):8d}"
-        )
-    write(wanted.out, {"robots": wanted.robots, "rows": rows})
+    report(wanted.out, rows, f"{wanted.robots} robots, 30 pictures per second")
 
 
 if __name__ == "__main__":

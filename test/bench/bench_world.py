@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import os
 import statistics
 import tempfile
 import time
@@ -45,16 +44,12 @@ def step_microseconds(bridge: Bridge) -> float:
     return 1e6 * statistics.median(times)
 
 
-def come_and_go(bridge: Bridge, model: str, count: int, steps: int) -> List[float]:
-    """Spawn and delete one model after another; return the wall time of each, in ms."""
-    times = []
+def come_and_go(bridge: Bridge, model: str, count: int, steps: int) -> None:
+    """Spawn and delete one model after another."""
     for number in range(count):
-        start = time.perf_counter()
         bridge.add_model("passing", number % 64, model)
         bridge.step(steps)
         bridge.delete("passing")
-        times.append(1e3 * (time.perf_counter() - start))
-    return times
 
 
 def passing_models(robot: str, count: int) -> List[Row]:
@@ -70,7 +65,7 @@ def passing_models(robot: str, count: int) -> List[Row]:
     come_and_go(bridge, PASSING[robot], WARM_UP, steps)
     # Series of steps at full speed take buffers for their images, once.
     step_before, before = step_microseconds(bridge), bridge.megabytes()
-    times = come_and_go(bridge, PASSING[robot], count, steps)
+    come_and_go(bridge, PASSING[robot], count, steps)
     after, step_after = bridge.megabytes(), step_microseconds(bridge)
     end_all(bridge)
     title = f"{count} models one after another, {robot} robot"
@@ -78,31 +73,21 @@ def passing_models(robot: str, count: int) -> List[Row]:
         (f"{title}: MB more", after - before, ".1f", "<= 5"),
         (f"{title}: µs a step before", step_before, ".1f", ""),
         (f"{title}: µs a step after", step_after, ".1f", "same"),
-        (f"{title}: ms each", statistics.median(times), ".1f", ""),
     ]
 
 
 def crowd(count: int, path: Path) -> List[Row]:
-    """Measure how long so many models take to be spawned, saved, loaded and deleted."""
+    """Measure how long so many models take to be saved, and how they are loaded again."""
     bridge = start("block")
-    start_of_all = time.perf_counter()
     for number in range(count):
         bridge.add_model(f"beacon_{number}", number)
-    spawned = time.perf_counter() - start_of_all
     bridge.step(100)
     saved = [bridge.save(str(path), False).seconds for _ in range(5)]
     error = largest_error(bridge, path)
-    start_of_end = time.perf_counter()
-    for number in range(count):
-        bridge.delete(f"beacon_{number}")
-    deleted = time.perf_counter() - start_of_end
     end_all(bridge)
     return [
-        (f"{count} models: spawned, ms each", 1e3 * spawned / count, ".1f", ""),
         (f"{count} models: saved, s (worst)", max(saved), ".2f", "< 1"),
-        (f"{count} models: file, MB", os.path.getsize(path) / 1e6, ".1f", ""),
         (f"{count} models: loaded again, m off", error, ".1g", "<= 1e-6"),
-        (f"{count} models: deleted, ms each", 1e3 * deleted / count, ".1f", ""),
     ]
 
 

@@ -17,7 +17,8 @@ from bullet_lab.core.files import write_json
 from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.messages.gazebo_types import srv
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+_TEST = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(_TEST), str(_TEST / "rostest")]
 from lab_nodes import PACKAGE, Node, parser_of  # noqa: E402
 
 INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'

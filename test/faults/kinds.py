@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple, Tuple
 
 import numpy as np
+import yaml
 
 from bullet_lab.jobs.declaration import find_jobs
 
@@ -40,21 +41,24 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "kill": Kind(4, (LAUNCHER, NODE, NODE, NODE, WORKER), signal.SIGKILL),
-    "int": Kind(4, (LAUNCHER, TERMINAL, TERMINAL, NODE, WORKER), signal.SIGINT),
-    "term": Kind(3, (LAUNCHER, NODE, NODE, WORKER), signal.SIGTERM),
-    "stop": Kind(2, (LAUNCHER, NODE, NODE, WORKER), signal.SIGSTOP),
-    # The job uses a running master, which ends; for master_back, another one replaces it.
-    "master_gone": Kind(1),
-    "master_back": Kind(1),
-    "disk_full": Kind(1.5),
-    # Simulated time is paused for a while.
-    "clock": Kind(1, live=True),
-    # A node subscribes to all topics, does not read, and ends after a while.
-    "deaf": Kind(1.5, live=True),
-    # The node that drives the robot gets a signal while the robot moves.
-    "rest_int": Kind(1, signal=signal.SIGINT, live=True),
-    "rest_term": Kind(1, signal=signal.SIGTERM, live=True),
+    name: Kind(**{**entry, "signal": getattr(signal, entry.get("signal", ""), 0)})
+    for name, entry in yaml.safe_load(f"""
+kill: {{weight: 4, targets: [{LAUNCHER}, {NODE}, {NODE}, {NODE}, {WORKER}], signal: SIGKILL}}
+int: {{weight: 4, targets: [{LAUNCHER}, {TERMINAL}, {TERMINAL}, {NODE}, {WORKER}], signal: SIGINT}}
+term: {{weight: 3, targets: [{LAUNCHER}, {NODE}, {NODE}, {WORKER}], signal: SIGTERM}}
+stop: {{weight: 2, targets: [{LAUNCHER}, {NODE}, {NODE}, {WORKER}], signal: SIGSTOP}}
+# The job uses a running master, which ends; for master_back, another one replaces it.
+master_gone: {{weight: 1}}
+master_back: {{weight: 1}}
+disk_full: {{weight: 1.5}}
+# Simulated time is paused for a while.
+clock: {{weight: 1, live: true}}
+# A node subscribes to all topics, does not read, and ends after a while.
+deaf: {{weight: 1.5, live: true}}
+# The node that drives the robot gets a signal while the robot moves.
+rest_int: {{weight: 1, signal: SIGINT, live: true}}
+rest_term: {{weight: 1, signal: SIGTERM, live: true}}
+""").items()
 }
 
 

@@ -239,21 +239,6 @@ def stl_files():
     return [box.export(file_type="stl"), box.export(file_type="stl_ascii").encode()]
 
 
-def scripts():
-    """Return material scripts with what such files have."""
-    texts = (
-        """
-        vertex_program p cg { source a.cg }
-        material Lab/Base { technique { pass { ambient 0.5 0.5 0.5 diffuse 1 0 0 0.5
-          texture_unit { texture wall.png  scale 2 2 scroll 0.1 0.2 rotate 30 filtering none } } } }
-        material Lab/Child : Lab/Base { set $colour "1 0 0" set_texture_alias a b.png
-          technique { pass { diffuse $colour specular 1 1 1 1 12 alpha_rejection greater 128 } } }
-        """,
-        "// only a comment\nmaterial One\n{\n technique\n {\n  pass\n  {\n  }\n }\n}\n",
-    )
-    return [text.encode() for text in texts]
-
-
 def bags():
     """Return a short bag with odometry."""
     with tempfile.TemporaryDirectory() as folder:
@@ -269,19 +254,6 @@ def bags():
         return [path.read_bytes()]
 
 
-def tum_files():
-    """Return short paths in TUM's format."""
-    rows = [f"{0.05 * k:.9f} {0.1 * k:.3f} 0.2 0 0 0 0.0998334 0.9950042" for k in range(40)]
-    return ["\n".join(["# stamp tx ty tz qx qy qz qw", *rows, ""]).encode()]
-
-
-def csv_files():
-    """Return short paths as the jobs write them."""
-    head = "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw"
-    rows = [f"{0.05 * k:.9f},{0.1 * k},0.2,0.1,{0.11 * k},0.21,0.12" for k in range(40)]
-    return ["\n".join([head, *rows, ""]).encode()]
-
-
 WAYS = {
     "urdf": Way(files("urdf/*.urdf", "test/tutorials/urdf/*.urdf"), ".urdf", spawn, 16),
     "sdf": Way(files("models/*/model.sdf"), ".sdf", spawn, 16),
@@ -289,12 +261,16 @@ WAYS = {
     "stl": Way(stl_files, ".stl", load_mesh),
     "dae": Way(files("meshes/*.dae"), ".dae", load_mesh),
     "obj": Way(files("models/**/*.obj"), ".obj", load_mesh),
-    "material": Way(scripts, ".material", only(lambda path: parse_script(text_of(path)))),
+    "material": Way(
+        files("test/fuzz/examples/*.material"),
+        ".material",
+        only(lambda path: parse_script(text_of(path))),
+    ),
     "picture": Way(files("models/**/*.png"), ".png", only(lambda path: read_pixels(Texture(path)))),
     "docks": Way(files("config/docks.yaml"), ".yaml", read_docks_file),
     "map": Way(files("worlds/house.yaml"), ".yaml", read_map_file),
-    "tum": Way(tum_files, ".tum", trajectory),
-    "csv": Way(csv_files, ".csv", trajectory),
+    "tum": Way(files("test/fuzz/examples/*.tum"), ".tum", trajectory),
+    "csv": Way(files("test/fuzz/examples/*.csv"), ".csv", trajectory),
     "bag": Way(bags, ".bag", trajectory),
     "xacro": Way(files("test/tutorials/**/*.xacro"), ".xacro", only(expanded), 1),
     "launch": Way(files("launch/*.launch"), ".launch", only(lambda path: read_job(path, PACKAGE))),

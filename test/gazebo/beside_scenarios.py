@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, List, Tuple, Union
+from typing import Dict, List, Sequence, Tuple, Union
+
+import yaml
 
 from bullet_lab.core.pose import Pose, Vector
 from bullet_lab.simulation.world.urdf import read_urdf_text
@@ -117,9 +119,9 @@ class Drive:
     moves: str
     heading: float = 0.0
     height: float = 0.0
-    changes: Tuple[Tuple[str, str], ...] = ()
+    changes: Sequence[Sequence[str]] = ()
     judged: int = 99
-    turned: Tuple[float, ...] = (0.0,)
+    turned: Sequence[float] = (0.0,)
 
     def name_at(self, heading):
         """Return the name of its figures when its heading is turned by some degrees."""
@@ -180,61 +182,9 @@ def play_drive(drive, stage, heading):
     return played
 
 
-_AHEAD = Leg(0.2, 0.0, 0.0, 5.0)
-_TURN = Leg(0.0, 0.0, 0.5, 5.0)
-_USUAL = (_AHEAD, STOP, _TURN, STOP)
-_TWO = (0.0, 45.0)
-_ALL_ROUND = (0.0, 30.0, 45.0, 90.0)
-_SIDE = Leg(0.2, 0.0, 0.0, 10.0)
-_CORNER = Leg(0.0, 0.0, -0.5236, 3.4)
-_BACK = Leg(0.0, 0.0, 0.5236, 3.4)
-_BLOCK = (_SIDE, _CORNER, STOP, Leg(0.2, 0.0, 0.3, 5.0), Leg(0.0, 0.2, 0.0, 2.0), STOP)
-_PLAIN = f"{MODELS}/plain_block.urdf"
-_IZZ = 'izz="7.5e-3"'
-_TUTORIALS = "test/tutorials/urdf"
-_TAGS = "".join(
-    f'<gazebo reference="{end}_{side}"><kp>1e6</kp><kd>1</kd></gazebo>'
-    for end in ("front", "back")
-    for side in ("left", "right")
-)
-_SOFT = (("</robot>", f"{_TAGS}</robot>"),)
-_SQUARE = (*_SOFT, ('xyz="0.12 ', 'xyz="0.2 '), ('xyz="-0.12 ', 'xyz="-0.2 '))
-
-
-def _four_wheels(name, **more):
-    robot = f"{_TUTORIALS}/four_wheels.urdf.xacro"
-    return Drive(name, robot, _USUAL, SLIPS, height=0.1, turned=_ALL_ROUND, **more)
-
-
-def _casters(name, **more):
-    robot = f"{MODELS}/casters.urdf.xacro"
-    return Drive(name, robot, (_AHEAD,), ROLLS, height=0.1, judged=0, turned=_TWO, **more)
-
-
-def _block(name, *legs, **more):
-    return Drive(name, _PLAIN, legs, SLIDES, **more)
-
-
-DRIVES = (
-    # Its turn is the report's, by a tag that Gazebo ignores.
-    Drive("block", "urdf/block_robot.urdf", _BLOCK, SLIDES, judged=1),
-    # Its arc by planar_move rocks in Gazebo, in a cycle of two steps: chance decides where it ends.
-    _block("cpmr_block", *_BLOCK, judged=2),
-    _block("block45", _SIDE, _CORNER, _BACK, heading=45.0),
-    _block("block45_fast", Leg(0.0, 0.0, 1.5, 3.4), heading=45.0),
-    _block("izz0663", *((_SIDE, _CORNER) * 4), changes=((_IZZ, 'izz="0.0663"'),)),
-    _block("izz075", *((_SIDE, _CORNER) * 2), changes=((_IZZ, 'izz="0.075"'),)),
-    Drive("sensor_robot", "urdf/sensor_robot.urdf", _USUAL, SLIDES),
-    Drive("camera_robot", "urdf/camera_robot.urdf", _USUAL, ROLLS, turned=_TWO),
-    Drive("burger", f"{MODELS}/burger.urdf.xacro", _USUAL, ROLLS, turned=_TWO),
-    Drive("rover", f"{_TUTORIALS}/rover.urdf.xacro", _USUAL, ROLLS, turned=_TWO),
-    _four_wheels("four_wheels"),
-    _four_wheels("four_wheels_soft", changes=_SOFT),
-    # Friction along and across balance, so that how far it turns proves nothing.
-    _four_wheels("four_wheels_square", changes=_SQUARE, judged=1),
-    Drive(
-        "husky", f"{MODELS}/husky.urdf.xacro", _USUAL, SLIPS, height=0.13228, turned=_ALL_ROUND
-    ),
-    _casters("two_casters"),
-    _casters("rear_caster", changes=(('xyz="0.15 0 -0.05"', 'xyz="0.15 0 0"'),)),
+_TABLE = yaml.safe_load(Path(__file__).with_name("drives.yaml").read_text())
+_LEGS = {name: Leg(*numbers) for name, numbers in _TABLE["legs"].items()}
+DRIVES = tuple(
+    Drive(**{**entry, "legs": tuple(_LEGS[name] for name in entry["legs"].split())})
+    for entry in _TABLE["drives"]
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import time
+from pathlib import Path
 from xml.etree import ElementTree
 
 import cv2
@@ -15,6 +16,7 @@ import genpy
 import numpy as np
 import roslib.message
 import rospy
+import yaml
 from beside_scenarios import PACKAGE, Played
 
 from bullet_lab.core.pose import Pose
@@ -28,30 +30,7 @@ ARRIVE_SECONDS = 0.5
 """Wall seconds in which the last messages arrive, while simulated time stands still."""
 
 CAMERA, RGB = "mycamera/image_raw", "camera/rgb/image_raw"
-TOPICS = {
-    "scan": "sensor_msgs/LaserScan",
-    "sonar": "sensor_msgs/Range",
-    "imu_old": "sensor_msgs/Imu",
-    "truth": "nav_msgs/Odometry",
-    "odom": "nav_msgs/Odometry",
-    "bumper": "gazebo_msgs/ContactsState",
-    RGB: "sensor_msgs/Image",
-    "camera/rgb/camera_info": "sensor_msgs/CameraInfo",
-    "camera/depth/image_raw": "sensor_msgs/Image",
-    "camera/depth/camera_info": "sensor_msgs/CameraInfo",
-    "camera/depth/points": "sensor_msgs/PointCloud2",
-}
-CAMERA_TOPICS = {
-    CAMERA: "sensor_msgs/Image",
-    "mycamera/camera_info": "sensor_msgs/CameraInfo",
-    "odom": "nav_msgs/Odometry",
-    "joint_states": "sensor_msgs/JointState",
-}
-MOVING = {
-    "turn": ("robot/imu_old", "robot/truth", "robot/odom"),
-    "push": ("robot/truth", "robot/bumper", "robot/sonar", "robot/camera/depth/points"),
-}
-"""Topics of which figures are kept while the robot moves; at rest, it is all of them."""
+TABLE = yaml.safe_load(Path(__file__).with_name("sensors.yaml").read_text())
 
 # Tags of noise, which are set to 0.
 NOISE = re.compile(r"(<(stddev|gaussianNoise)>)[^<]*")
@@ -183,7 +162,7 @@ class Listener:
         figures = {}
         for topic, messages in self.heard.items():
             what = self.short(topic[1:])
-            if what in MOVING.get(part, (what,)):
+            if what in TABLE["moving"].get(part, (what,)):
                 figures.update(figures_of(f"{part} {what}", list(messages), self.short))
         return figures
 
@@ -206,8 +185,8 @@ def sensors(stage, folder):
     crate = {name: stage.spawn(text, Pose()) for name, text in things()}["crate"]
     robot = stage.spawn(sensor_robot(), Pose())
     camera = stage.spawn(quiet("camera_robot"), Pose((-1.0, -0.6, 0.0)))
-    topics = {f"/{robot}/{topic}": kind for topic, kind in TOPICS.items()}
-    topics.update({f"/{camera}/{topic}": kind for topic, kind in CAMERA_TOPICS.items()})
+    topics = {f"/{robot}/{topic}": kind for topic, kind in TABLE["topics"].items()}
+    topics.update({f"/{camera}/{topic}": kind for topic, kind in TABLE["camera_topics"].items()})
     names = {robot: "robot", camera: "cam", crate: "crate"}
     listener = Listener(stage, names, topics)
     figures = dict(fields("physics", stage.must("get_physics_properties")))
@@ -263,27 +242,13 @@ def _where(what, state):
     return {f"{what} x m": x, f"{what} y m": y, f"{what} turned deg": float(turned)}
 
 
-# What is seen where in the pictures: column and row of the middle of a patch of 9 x 9 pixels.
-PATCHES = {
-    "cam": {
-        "sky": (320, 100),
-        "floor near": (320, 440),
-        "floor far": (60, 260),
-        "wall": (250, 260),
-        "crate": (440, 295),
-        "column": (8, 250),
-        "robot's top": (30, 425),
-        "robot's side": (50, 455),
-    },
-    "rgb": {"sky": (80, 15), "floor": (80, 100), "wall": (90, 50)},
-}
 HALF = 4
 
 
 def levels(name, image):
     """Return the mean level of each colour in each patch of a picture."""
     figures = {}
-    for patch, (column, row) in PATCHES[name].items():
+    for patch, (column, row) in TABLE["patches"][name].items():
         part = image[row - HALF : row + HALF + 1, column - HALF : column + HALF + 1]
         for colour, level in zip(("red", "green", "blue"), part.mean(axis=(0, 1))):
             figures[f"{name} {patch} {colour}"] = float(level)

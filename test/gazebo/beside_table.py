@@ -9,11 +9,12 @@ import re
 from collections import Counter
 from dataclasses import asdict, dataclass
 from io import StringIO
+from pathlib import Path
 from typing import Optional
 
 import numpy as np
+import yaml
 from beside_scenarios import ROLLS, SLIDES, SLIPS, Figure, Played, motions, name_of
-from beside_trials import SET
 
 WIDEST = 36
 """Characters of a figure in the table."""
@@ -49,10 +50,6 @@ class Row:
     verdict: str
 
 
-DIGITS = Allowed(within=1e-4)
-"""Agrees to four digits."""
-
-_PERCENT = Allowed(share=0.01)
 _MILLIMETRE = Allowed(within=1e-3)
 _WAY = Allowed(share=0.02)
 _TURN = {SLIDES: Allowed(within=3.0), ROLLS: Allowed(within=3.0), SLIPS: Allowed(share=0.08)}
@@ -72,35 +69,11 @@ def allowed_in_drive(drive):
     return found
 
 
-_PUSHED = (DIGITS, "x m", "y m", "vx m/s", "vy m/s", "wz rad/s", "yaw rad")
-_SLOPE = (DIGITS, "way m", "speed m/s")
-# By the beginning of the scenario's name; the longest counts.
+_TABLE = yaml.safe_load(Path(__file__).with_name("limits.yaml").read_text())
 TRIALS = {
-    "slide": (_MILLIMETRE, *(f"{axis} at {when} s m" for axis in "xy" for when in (0.1, 0.5))),
-    "push_1N_mu0": _PUSHED,
-    # It stands there, and creeps in Gazebo.
-    "push_1N_mu0.5": (Allowed(within=2e-3), "x m", "y m"),
-    "push_6N": (_PERCENT, "x m"),
-    "push_1N_aside": _PUSHED[:-1],
-    "torque_z": _PUSHED,
-    "push_in": _PUSHED,
-    "slope35": _SLOPE,
-    "slope20_mu0": _SLOPE,
-    # Gazebo's box creeps by 5.6 mm.
-    "slope20_mu0.5": (DIGITS,),
-    "drop": (_MILLIMETRE, "rebound m", "end m"),
-    "roll": (DIGITS, "x m", "vx m/s", "wy rad/s"),
-    "turn": (DIGITS, *(f"at {when} s {unit}" for when in (1, 2) for unit in ("rad", "rad/s"))),
-    "pendulum": (DIGITS, *(f"at {when} s rad" for when in range(1, 7))),
-    "push_block": (_PERCENT, "robot x m", "crate x m"),
-    "set_model_state": (
-        DIGITS,
-        *(f"{when} {what}" for when in ("now", "after 1 ms", "after 100 ms") for what in SET),
-    ),
-    "fall": (DIGITS, "z m", "vz m/s"),
-    "two_casters": (Allowed(share=0.1), "leg 0 ahead m"),
+    start: (Allowed(**limit), *figures) for start, (limit, *figures) in _TABLE["trials"].items()
 }
-"""A limit, and the figures that it is for."""
+SENSORS = [(pattern, Allowed(**limit) if limit else None) for pattern, limit in _TABLE["sensors"]]
 
 
 def allowed_by_name(scenario):
@@ -108,38 +81,6 @@ def allowed_by_name(scenario):
     found = [start for start in TRIALS if scenario.startswith(start)]
     limit, *names = TRIALS[max(found, key=len)] if found else [None]
     return dict.fromkeys(names, limit)
-
-
-# By patterns in the names of the figures; the first one counts, and None means no limit.
-SENSORS = (
-    (r"^(cam|rgb) .* (red|green|blue)$", Allowed(within=3.0)),
-    # Software GL was too slow for them; under load, range sensors were late, too.
-    (r"(image_raw|camera_info|points|sonar) gap ms$", None),
-    (r"bumper gap ms$", None),
-    (r"gap ms$", Allowed(within=0.5)),
-    # Of these, the contract lists what differs and why.
-    (r"camera_info (K|P)$", None),
-    (r"joint_states", None),
-    (r"focal length px$", Allowed(within=0.01)),
-    (r"scan ranges (min|mean|max)$", Allowed(within=3e-3)),
-    (r"share of whole mm$", Allowed(within=0.2)),
-    # A step is 1 ms here, whatever is set; the other settings are those of ODE.
-    (r"^physics (pause|max_update_rate|ode_config)", None),
-    (r"bumper share", Allowed(within=0.05)),
-    (r"bumper states", None),
-    (r"moments kg m2$|centre m$|mass kg$", Allowed(within=2e-6)),
-    (r"covariance$", Allowed(within=1e-9)),
-    # The camera robot creeps by 0.35 mm/s in Gazebo.
-    (r"rest cam/odom pose pose position$", Allowed(within=5e-3)),
-    (r"rest cam/odom", Allowed(within=5e-3)),
-    (r"turn robot/(imu_old angular|truth twist twist angular)", Allowed(within=1e-3)),
-    (r"push robot/truth twist twist linear$", Allowed(within=1e-3)),
-    (r"turn robot turned deg$", Allowed(within=3.0)),
-    (r"push (robot|crate) x m$", _PERCENT),
-    (r"(turn|push) .*(orientation|position|linear|angular|linear_acceleration)$", None),
-    (r"(turn|push) (robot|crate) (x|y|turned)", None),
-    (r"", DIGITS),
-)
 
 
 def allowed_of_sensor(name):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import partial
-from itertools import product
+from pathlib import Path
 
+import yaml
 from beside_scenarios import MODELS, PACKAGE, Played, Push
 
 from bullet_lab.core.pose import Pose
@@ -61,7 +61,7 @@ def way(begin, end):
     return [b - a for a, b in zip(begin.position, end.position)]
 
 
-def slide(degrees, stage):
+def slide(stage, degrees):
     """A box with mu 0.5 that has 1.5 m/s in a direction."""
     name, begin = stand(stage, 0.5)
     angle = math.radians(degrees)
@@ -78,19 +78,12 @@ def slide(degrees, stage):
     return played
 
 
-def beside_burger(trial, stage):
-    """A trial while a robot whose wheels have an fdir1 stands aside."""
-    text = read_urdf_text(PACKAGE / MODELS / "burger.urdf.xacro")
-    stage.spawn(text, Pose((5.0, 5.0, 0.0)))
-    return trial(stage=stage)
-
-
-def wrench(mu, push, stage, yaw=0.0):
+def wrench(stage, mu=0.0, yaw=0.0, frame="", **push):
     """A push for 1 s on the box; what came of it after 1.5 s. Its frame is "link" or "model"."""
     name, begin = stand(stage, mu, yaw)
     link = f"{name}::link"
     frames = {"link": link, "model": name}
-    stage.push(link, replace(push, frame=frames.get(push.frame, "")))
+    stage.push(link, Push(frame=frames.get(frame, ""), **push))
     stage.run(1.5)
     end = stage.state(name)
     x, y, _ = way(begin, end.pose)
@@ -106,7 +99,7 @@ def wrench(mu, push, stage, yaw=0.0):
     )
 
 
-def slope(degrees, mu, stage):
+def slope(stage, degrees, mu):
     """A box on a ramp, for 1 s: how far down, and how fast."""
     tilt = Pose.from_rpy((0.0, 0.0, 20.0), (0.0, math.radians(degrees), 0.0))
     stage.spawn(body("ramp", static=True), tilt * Pose((0.0, 0.0, -0.1)))
@@ -118,7 +111,7 @@ def slope(degrees, mu, stage):
     return Played({"way m": distance, "speed m/s": math.hypot(*end.linear)})
 
 
-def drop(ball, floor, stage):
+def drop(stage, ball, floor):
     """A ball that falls 1 m on a slab: how high it rises again, and where it is after 3 s."""
     top = 0.2
     slab = body("ramp", restitution=floor, static=True)
@@ -218,14 +211,14 @@ def _arm(stage, height, axis, below, damping, friction):
     return stage.spawn(text, Pose((0.0, 0.0, height)))
 
 
-def turn(damping, friction, stage):
+def turn(stage, damping=0.0, friction=0.0):
     """0.01 N m for 1 s on an arm of 0.01 kg m²."""
     name = _arm(stage, 1.0, "0 0 1", 0.0, damping, friction)
     stage.exert(name, "joint", 0.01, 1.0)
     return _swing(name, 2, stage)
 
 
-def pendulum(damping, stage):
+def pendulum(stage, damping):
     """A pendulum of 1 kg, 0.01 kg m² and 0.5 m that is let go at 0.5 rad."""
     name = _arm(stage, 2.0, "0 1 0", 0.5, damping, 0.0)
     stage.turn_joint(name, "joint", 0.5)
@@ -242,40 +235,23 @@ def _swing(name, seconds, stage):
     return Played(figures)
 
 
-_X = (1.0, 0.0, 0.0)
-_SIX = partial(wrench, 0.5, Push((6.0, 0.0, 0.0)))
-_BOUNCE = (("none", None), ("0.7", 0.7))
-_QUARTER = 0.5 * math.pi
+_FUNCTIONS = (
+    *(slide, wrench, slope, drop, roll, turn, pendulum),
+    *(push_block, stack, set_state, fall),
+)
+
+
+def _played(stage, play, beside_burger=False, **more):
+    """Play a trial of the table, perhaps while a robot whose wheels have an fdir1 stands aside."""
+    if beside_burger:
+        text = read_urdf_text(PACKAGE / MODELS / "burger.urdf.xacro")
+        stage.spawn(text, Pose((5.0, 5.0, 0.0)))
+    return {function.__name__: function for function in _FUNCTIONS}[play](stage, **more)
+
 
 TRIALS = {
-    **{f"slide_{angle}": partial(slide, angle) for angle in (0, 30, 45)},
-    "push_1N_mu0": partial(wrench, 0.0, Push(_X)),
-    "push_1N_mu0.5": partial(wrench, 0.5, Push(_X)),
-    "push_6N_mu0.5": _SIX,
-    "push_1N_aside": partial(wrench, 0.0, Push(_X, point=(0.0, 0.1, 0.0))),
-    "torque_z": partial(wrench, 0.0, Push(torque=(0.0, 0.0, 0.01))),
-    "push_in_link": partial(wrench, 0.0, Push(_X, frame="link"), yaw=_QUARTER),
-    "push_in_model": partial(wrench, 0.0, Push(_X, frame="model"), yaw=_QUARTER),
-    "slope20_mu0.5": partial(slope, 20.0, 0.5),
-    "slope35_mu0.5": partial(slope, 35.0, 0.5),
-    "slope20_mu0": partial(slope, 20.0, 0.0),
-    **{
-        f"drop_ball_{one}_floor_{other}": partial(drop, ball, floor)
-        for (one, ball), (other, floor) in product(_BOUNCE, _BOUNCE)
-    },
-    "roll": roll,
-    "turn": partial(turn, 0.0, 0.0),
-    "turn_damping": partial(turn, 0.01, 0.0),
-    "turn_friction": partial(turn, 0.0, 0.005),
-    "pendulum": partial(pendulum, 0.0),
-    "pendulum_damping": partial(pendulum, 0.05),
-    "push_block": push_block,
-    "stack": stack,
-    "set_model_state": set_state,
-    "fall": fall,
-    # Last of all, since the world may remember.
-    "push_6N_beside_burger": partial(beside_burger, _SIX),
-    "slide_30_beside_burger": partial(beside_burger, partial(slide, 30)),
+    name: partial(_played, **entry)
+    for name, entry in yaml.safe_load(Path(__file__).with_name("trials.yaml").read_text()).items()
 }
 """What plays each, on a `stage`, and returns a Played; by name."""
 

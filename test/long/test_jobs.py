@@ -21,12 +21,12 @@ NEEDED = {"grade": shlex.split(JOBS["grade"].smallest)}
 KOBUKI = PACKAGE / "urdf" / "kobuki_robot.urdf"
 # Other ways that jobs go than by default, on top of those that rostests take.
 WAYS = [
-    ("dock", "world:=docking_dots", "odom:=noisy_odom", "x:=1.2", "y:=0.3", "yaw:=-30"),
-    ("dock", "world:=docking_nested", "x:=1.0", "y:=-0.3", "yaw:=20"),
-    ("dock", "world:=docking_decoy", "x:=1.5", "y:=0.4", "yaw:=10"),
-    ("dock", f"robot:={KOBUKI}", "cmd_vel:=mobile_base/commands/velocity"),
+    "dock world:=docking_dots odom:=noisy_odom x:=1.2 y:=0.3 yaw:=-30",
+    "dock world:=docking_nested x:=1.0 y:=-0.3 yaw:=20",
+    "dock world:=docking_decoy x:=1.5 y:=0.4 yaw:=10",
+    f"dock robot:={KOBUKI} cmd_vel:=mobile_base/commands/velocity",
     # It fails unless all goals are reached without a contact.
-    ("goal", "world:=house", "goals:=20", "seed:=1"),
+    "goal world:=house goals:=20 seed:=1",
 ]
 INTERRUPTED = 130
 # Wall seconds: while roslaunch starts, or while the job is at work.
@@ -50,9 +50,9 @@ def processes_of(session):
     return [line for line in done.stdout.splitlines() if line]
 
 
-@pytest.mark.parametrize("way", [(job,) for job in JOBS] + WAYS, ids="-".join)
+@pytest.mark.parametrize("way", [*JOBS, *WAYS])
 def test_a_job_runs_and_leaves_its_results(way, tmp_path):
-    job, *words = way
+    job, *words = way.split()
     process = start(job, tmp_path, *words)
     printed, _ = process.communicate(timeout=LONGEST)
     assert process.returncode == 0, printed

@@ -67,7 +67,7 @@ def look(command, folder):
             start_new_session=True,
         )
     try:
-        looker = Looker(wait_for_url(log.read_text, 120.0))
+        looker = Looker(wait_for_url(log.read_text))
         wait_for(lambda: "the page stays until" in log.read_text(), log.read_text, SECONDS)
         wait_for(lambda: "/robots/0" in looker.nodes, "the robot to be seen")
         looker.close()

@@ -76,7 +76,7 @@ def running(job, folder, *words):
             stderr=subprocess.STDOUT,
         )
     try:
-        yield wait_for_url(log.read_text, 120.0)
+        yield wait_for_url(log.read_text)
     finally:
         process.send_signal(2)
         process.wait(60.0)

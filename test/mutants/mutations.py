@@ -6,40 +6,45 @@ import ast
 import copy
 from dataclasses import dataclass
 
-COMPARISONS = {
-    ast.Lt: (ast.LtE, ast.GtE),
-    ast.LtE: (ast.Lt, ast.Gt),
-    ast.Gt: (ast.GtE, ast.LtE),
-    ast.GtE: (ast.Gt, ast.Lt),
-    ast.Eq: (ast.NotEq,),
-    ast.NotEq: (ast.Eq,),
-    ast.Is: (ast.IsNot,),
-    ast.IsNot: (ast.Is,),
-    ast.In: (ast.NotIn,),
-    ast.NotIn: (ast.In,),
-}
+import yaml
+
+# What the classes of ast of these names may become.
+OTHERS = """
+Lt: [LtE, GtE]
+LtE: [Lt, Gt]
+Gt: [GtE, LtE]
+GtE: [Gt, Lt]
+Eq: [NotEq]
+NotEq: [Eq]
+Is: [IsNot]
+IsNot: [Is]
+In: [NotIn]
+NotIn: [In]
+Add: [Sub]
+Sub: [Add]
+Mult: [Div]
+Div: [Mult]
+FloorDiv: [Mult]
+Mod: [Mult]
+Pow: [Mult]
+And: [Or]
+Or: [And]
+USub: [UAdd]
+"""
 OPERATORS = {
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-    ast.FloorDiv: ast.Mult,
-    ast.Mod: ast.Mult,
-    ast.Pow: ast.Mult,
-    ast.And: ast.Or,
-    ast.Or: ast.And,
-    ast.USub: ast.UAdd,
+    getattr(ast, name): [getattr(ast, other) for other in others]
+    for name, others in yaml.safe_load(OTHERS).items()
 }
-FUNCTIONS = {
-    "min": "max",
-    "max": "min",
-    "sin": "cos",
-    "cos": "sin",
-    "any": "all",
-    "all": "any",
-    "minimum": "maximum",
-    "maximum": "minimum",
-}
+FUNCTIONS = yaml.safe_load("""
+min: max
+max: min
+sin: cos
+cos: sin
+any: all
+all: any
+minimum: maximum
+maximum: minimum
+""")
 # Above, a number is doubled, since one more would hardly change it.
 ONE_MORE_UP_TO = 100
 
@@ -115,13 +120,12 @@ def mutations(node, reals):
     if isinstance(node, ast.Compare):
         sides = [is_real(side, reals) for side in (node.left, *node.comparators)]
         for place, op in enumerate(node.ops):
-            kinds = COMPARISONS[type(op)]
+            kinds = OPERATORS[type(op)]
             for kind in kinds[-1:] if any(sides[place : place + 2]) else kinds:
                 ops = node.ops[:place] + [kind()] + node.ops[place + 1 :]
                 yield f"{type(op).__name__} to {kind.__name__}", replaced(node, ops=ops)
     elif isinstance(node, (ast.BinOp, ast.AugAssign, ast.BoolOp, ast.UnaryOp)):
-        kind = OPERATORS.get(type(node.op))
-        if kind:
+        for kind in OPERATORS.get(type(node.op), ()):
             yield f"{type(node.op).__name__} to {kind.__name__}", replaced(node, op=kind())
     elif isinstance(node, ast.Constant):
         yield from other_constants(node)

@@ -73,8 +73,7 @@ class ArucoTest(NodeTest):
         stamps = detections.stamps()
         self.assertEqual(sorted(set(stamps)), stamps)
         node.signal()
-        self.assertEqual(0, node.wait(), node.err)
-        self.assertNotIn("Traceback", node.err)
+        self.assert_ends_well(node)
 
     def send_until_said(self, words, pixels, matrix=None, encoding="mono8"):
         """Go on sending an image until the diagnostics have some words; return level, values.

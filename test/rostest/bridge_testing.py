@@ -2,9 +2,7 @@
 
 import importlib
 import math
-import tempfile
 import xmlrpc.client
-from pathlib import Path
 
 import rosgraph
 import rospy
@@ -196,12 +194,6 @@ class BridgeCase(NodeTest):
         made = client(name, timeout=PATIENCE)
         self.addCleanup(made.close)
         return made
-
-    def folder(self):
-        """A folder of this test."""
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        return Path(folder.name)
 
     def assert_stands(self, expected):
         """Assert that time stands at so many ms; at full speed it would not stay there."""

@@ -4,10 +4,7 @@
 import os
 import subprocess
 import sys
-import tempfile
 import unittest
-import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import rospy
 import rostest
@@ -27,11 +24,8 @@ class BridgeContractTest(unittest.TestCase):
         bridge = Node("pybullet_bridge.py", master=master.uri)
         self.addCleanup(bridge.end)
         wait_for(lambda: master.offers("/bullet_lab/advance"), lambda: bridge.err)
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        junit = Path(folder.name) / "contract.xml"
-        # A chapter can be repeated.
-        for words in (("--junit", str(junit)), ("--only", "bumper/"), ("--only", "bumper/")):
+        # All of it; and a chapter can be repeated.
+        for words, most in (((), 300), (("--only", "bumper/"), 10), (("--only", "bumper/"), 10)):
             run = subprocess.run(
                 [sys.executable, str(PROGRAM), *words],
                 env=dict(os.environ, ROS_MASTER_URI=master.uri),
@@ -43,9 +37,7 @@ class BridgeContractTest(unittest.TestCase):
             lines = run.stdout.splitlines()
             self.assertEqual([line for line in lines if line.startswith((FAILED, NOT_JUDGED))], [])
             self.assertEqual(run.returncode, 0, run.stdout[-2000:])
-        suite = ElementTree.parse(junit).getroot()
-        self.assertEqual(suite.get("failures"), "0")
-        self.assertGreater(int(suite.get("tests")), 300)
+            self.assertGreater(len(lines), most)
 
 
 def setUpModule():

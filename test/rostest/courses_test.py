@@ -3,39 +3,35 @@
 
 import os
 import re
-import signal
-import subprocess
-import tempfile
 import unittest
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import rosgraph
 import rostest
-from lab_testing import PACKAGE, Master, wait_for
+import yaml
+from lab_testing import PACKAGE, Master, Process, wait_for
 
 from bullet_lab.ros.record.robot_parts import COLOURS, failures_in, reason_in
 
 COURSES = PACKAGE / "test" / "courses"
 SPAWNED = "Successfully spawned entity"
-CART = ("/cmd_vel", "/odom", "/scan")
-# The topics that come, and for several models how many are spawned.
-UP = {
-    "blank_before": ((), 1),
-    "database": ((), 3),
-    "inorder": (CART, 1),
-    "legacy_mode": (CART, 1),
-    "mapping": (CART, 1),
-    "navigation": ((*CART, "/map", "/amcl_pose", "/move_base/goal"), 1),
-    "own_server": (CART, 1),
-    "paused": (CART, 1),
-    "ros_control": (("/mobile_base_controller/odom", "/joint_states", "/scan"), 1),
-    "shapes": (CART, 1),
-    "static_tf": (CART, 1),
-    "tools": (CART, 1),
-    "two_robots": (("/robot1/cmd_vel", "/robot2/odom"), 2),
-    "xacro_py": (CART, 1),
-}
+# The topics that come, and how many models are spawned.
+UP = yaml.safe_load("""
+blank_before: [[], 1]
+database: [[], 3]
+inorder: [&cart [/cmd_vel, /odom, /scan], 1]
+legacy_mode: [*cart, 1]
+mapping: [*cart, 1]
+navigation: [[/cmd_vel, /odom, /scan, /map, /amcl_pose, /move_base/goal], 1]
+own_server: [*cart, 1]
+paused: [*cart, 1]
+ros_control: [[/mobile_base_controller/odom, /joint_states, /scan], 1]
+shapes: [*cart, 1]
+static_tf: [*cart, 1]
+tools: [*cart, 1]
+two_robots: [[/robot1/cmd_vel, /robot2/odom], 2]
+xacro_py: [*cart, 1]
+""")
 # What must stand in the output of each, beside that.
 SAID = {
     "database": r"'model://house_1': in none of the model folders .*osrf/gazebo_models",
@@ -52,44 +48,24 @@ NONE = "{0}/slam_{0}: there is no ROS package '{0}'; Debian has none that is kno
 MAY_MISS = {"static_tf": r"tf2?_ros|tf/", "tools": r"teleop|rqt_robot_steering|_gui/"}
 
 
-class Launched:
+class Launched(Process):
     """A launch file, with a master of its own."""
 
     def __init__(self, name):
-        self._process = Master()
-        self._master = rosgraph.Master("/courses_test", self._process.uri)
+        self._master = Master()
         paths = f"{COURSES}{os.pathsep}{os.environ.get('ROS_PACKAGE_PATH', '')}"
-        self._log = tempfile.NamedTemporaryFile("w", suffix=f".{name}")  # noqa: SIM115
-        self.process = subprocess.Popen(
-            ["roslaunch", "courses", f"{name}.launch"],
-            env={
-                **os.environ,
-                "ROS_PACKAGE_PATH": paths,
-                "ROS_MASTER_URI": self._process.uri,
-            },
-            stdout=self._log,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-
-    def said(self):
-        """What it has said so far, without colours."""
-        return COLOURS.sub("", Path(self._log.name).read_text(errors="replace"))
+        environment = {"ROS_PACKAGE_PATH": paths, "ROS_MASTER_URI": self._master.uri}
+        super().__init__("roslaunch", "courses", f"{name}.launch", **environment)
 
     def topics(self):
         """Names of the topics that its nodes publish or subscribe to."""
-        published, subscribed, _ = self._master.getSystemState()
+        master = rosgraph.Master("/courses_test", self._master.uri)
+        published, subscribed, _ = master.getSystemState()
         return {topic for topic, _ in (*published, *subscribed)}
 
-    def has_ended(self):
-        return self.process.poll() is not None
-
     def end(self):
-        """End it as Ctrl-C does."""
-        if not self.has_ended():
-            self.process.send_signal(signal.SIGINT)
-        self.process.wait()
-        self._process.end()
+        super().end()
+        self._master.end()
 
 
 def run(name):
@@ -99,12 +75,12 @@ def run(name):
     missing = set(topics)
     try:
         wait_for(
-            lambda: launched.has_ended() or launched.said().count(SPAWNED) >= spawned > 0,
-            f"{name} to spawn: {launched.said()}",
+            lambda: not launched.runs() or launched.said.count(SPAWNED) >= spawned > 0,
+            lambda: f"{name} to spawn: {launched.said}",
         )
-        if not launched.has_ended():
+        if launched.runs():
             wait_for(lambda: missing <= launched.topics(), f"{name}: {sorted(missing)}")
-        return launched.has_ended(), launched.said()
+        return not launched.runs(), COLOURS.sub("", launched.said)
     finally:
         launched.end()
 

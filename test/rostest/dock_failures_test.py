@@ -105,12 +105,6 @@ class DockFailuresTest(NodeTest):
         self.send()
         self.assert_failed(DockResult.ODOMETRY_LOST, "odom: no messages")
 
-    def test_camera_that_is_not_calibrated(self):
-        self.addCleanup(setattr, self.robot, "matrix", self.robot.matrix)
-        self.robot.matrix = [0.0] * 9
-        self.send()
-        self.assert_failed(DockResult.CAMERA_LOST, "zero K")
-
     # Failures during the docking
 
     def test_time_set_back(self):
@@ -197,7 +191,7 @@ class DockFailuresTest(NodeTest):
         self.send()
         self.wait_until_approaching()
         self.shared.signal(signal.SIGINT)
-        self.assertEqual(0, self.shared.wait(), self.shared.err)
+        self.assert_ends_well(self.shared)
         wait_for(lambda: not self.commands.messages[-1].linear.x, "the stop")
         self.assertEqual(0.0, self.commands.messages[-1].angular.z)
         self.dock.stop_tracking_goal()

@@ -1,10 +1,7 @@
 #!/usr/bin/env python3
 """The dock job: through ROS, the same each time, and a name for each failure."""
 
-import functools
-import json
 import math
-import tempfile
 import unittest
 
 import rostest
@@ -13,61 +10,43 @@ from lab_testing import run_job
 from bullet_lab.core.trajectory import read_tum
 from bullet_lab.docking.database import DockUncertainty, drawn_error
 
-FOLDER = tempfile.TemporaryDirectory()
 # To be quick; farther starts, such as the job's own, are in test/long.
 NEAR = ("x:=1.6", "y:=0.1")
-
-
-@functools.lru_cache(maxsize=None)
-def dock(*words, status=0):
-    """Run the job in a folder of its own; return its output folder."""
-    return run_job("dock", *words, folder=FOLDER.name, status=status)[0]
-
-
-def summary_of(out):
-    return json.loads((out / "summary.json").read_text())
 
 
 class DockJobTest(unittest.TestCase):
     """Other worlds and robots are in test/long."""
 
-    def assert_docked(self, out):
-        summary = summary_of(out)
+    def test_docks_says_how_and_does_the_same_again(self):
+        run = run_job("dock", *NEAR)
+        out, summary = run.out, run.summary
         self.assertTrue(summary["docked"], summary["message"])
         self.assertEqual((0, "NONE"), (summary["error_code"], summary["error_name"]))
         self.assertEqual((0, {}), (summary["wall_contacts"], summary["touched"]))
         for name, most in summary["tolerances"].items():
             self.assertLess(abs(summary[name]), most, name)
-        end = read_tum(out / "truth.tum").poses[-1]
-        self.assertAlmostEqual(3.44, end[0], delta=0.005)
-        self.assertAlmostEqual(0.0, end[1], delta=0.003)
-
-    def test_docks_and_says_how(self):
-        out = dock(*NEAR)
-        self.assert_docked(out)
-        summary = summary_of(out)
+        path = read_tum(out / "truth.tum")
+        self.assertAlmostEqual(3.44, path.poses[-1, 0], delta=0.005)
+        self.assertAlmostEqual(0.0, path.poses[-1, 1], delta=0.003)
         said = {"job": "dock", "seed": 1, "world": "docking", "odom": "odom", "finished": True}
         self.assertEqual(said, {key: summary[key] for key in said})
         # The robot was told a wrong pose, by what the seed says.
         error = drawn_error(DockUncertainty(0.3, math.radians(10.0)), 1.0, 1)
         names = ("database_error_x_m", "database_error_y_m", "database_error_yaw_deg")
         self.assertEqual([*error[:2], math.degrees(error[2])], [summary[name] for name in names])
-        path = read_tum(out / "truth.tum")
         self.assertAlmostEqual(path.stamps[-1] - path.stamps[0], summary["sim_time_s"])
         self.assertAlmostEqual(1.6, path.poses[0, 0], delta=0.001)
         self.assertGreater(summary["images"], 20)
         for name in ("path.png", "camera.png"):
             self.assertTrue((out / name).read_bytes().startswith(b"\x89PNG"), name)
-
-    def test_the_same_seed_gives_the_same_path(self):
-        again = dock(*NEAR, "seed:=1")
-        same = (dock(*NEAR) / "truth.tum").read_bytes() == (again / "truth.tum").read_bytes()
+        again = run_job("dock", *NEAR, "seed:=1")
+        same = (out / "truth.tum").read_bytes() == (again.out / "truth.tum").read_bytes()
         # Not assertEqual, which would print them.
         self.assertTrue(same, "truth.tum differs")
 
     def test_a_start_inside_of_a_wall(self):
         # It comes out of the wall, and docks, but not without a contact.
-        summary = summary_of(dock("x:=2.8", "y:=0.45", status=1))
+        summary = run_job("dock", "x:=2.8", "y:=0.45", status=1).summary
         self.assertFalse(summary["docked"])
         self.assertEqual("NONE", summary["error_name"])
         self.assertGreater(summary["wall_contacts"], 0)

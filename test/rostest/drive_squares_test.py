@@ -106,9 +106,8 @@ class DriveSquaresTest(NodeTest):
         # It may be gone before it has answered.
         with contextlib.suppress(OSError, http.client.HTTPException):
             xmlrpc.client.ServerProxy(uri).shutdown("/test", "because of a test")
-        self.assertEqual(0, node.wait())
         # rospy itself may say that it waits for the bridge.
-        self.assertNotIn("Traceback", node.err)
+        self.assert_ends_well(node)
         self.assert_stopped()
         node = self.start(lock_step=True, sides=1000)
         self.wait_until_driving(node, len(self.commands.messages))

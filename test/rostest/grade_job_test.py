@@ -2,7 +2,6 @@
 """The grade job marks right, wrong and hostile submissions."""
 
 import csv
-import json
 import os
 import shutil
 import subprocess
@@ -73,7 +72,7 @@ class GradeJobTest(unittest.TestCase):
         for exercise in EXERCISES:
             with self.subTest(exercise):
                 words = (f"exercise:={exercise}", f"class:={make_class(exercise)}")
-                out, printed = run_job("grade", *words, folder=FOLDER.name)
+                out, printed = run_job("grade", *words)
                 found = marks(out)
                 self.assertEqual("10.0", found[RIGHT]["points"], printed)
                 self.assertLess(float(found[WRONG]["points"]), 9.0, printed)
@@ -86,7 +85,7 @@ class GradeJobTest(unittest.TestCase):
             shutil.copytree(SUBMISSIONS / "hostile" / name, group / name)
         (group / "empty").mkdir()
         words = (f"exercise:={exercise}", f"class:={group}")
-        out, printed = run_job("grade", *words, folder=FOLDER.name)
+        out, printed = run_job("grade", *words)
         found = marks(out)
         for name, why in WHY.items():
             self.assertRegex(found[name]["why"], f"^({why})", printed)
@@ -97,20 +96,6 @@ class GradeJobTest(unittest.TestCase):
         # Nothing of them is left.
         command = ["pgrep", "-f", "sleep 9876"]
         self.assertEqual(1, subprocess.run(command, stdout=subprocess.DEVNULL).returncode)
-
-    def test_one_submission_is_graded_and_kept(self):
-        words = ("exercise:=square", f"submission:={SUBMISSIONS / 'hostile' / 'nothing'}")
-        out, _ = run_job("grade", *words, folder=FOLDER.name)
-        mark = json.loads((out / "grade.json").read_text())
-        self.assertEqual((0, 10), (mark["points"], mark["of"]))
-        mark["why"] = ["kept"]
-        (out / "grade.json").write_text(json.dumps(mark))
-        _, printed = run_job("grade", *words, folder=FOLDER.name, out=out)
-        self.assertIn("; kept", printed)
-
-    def test_a_wrong_command_line_is_a_line(self):
-        _, printed = run_job("grade", folder=FOLDER.name, status=2)
-        self.assertIn("exercise is '': it must be one of beacon, goal, noise, square", printed)
 
 
 if __name__ == "__main__":

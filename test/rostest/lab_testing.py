@@ -1,6 +1,7 @@
 """What the rostests share: nodes as processes, masters of their own, topics as lists."""
 
 import contextlib
+import json
 import math
 import os
 import signal
@@ -12,6 +13,7 @@ import time
 import unittest
 import xmlrpc.client
 from pathlib import Path
+from typing import NamedTuple
 
 import rosgraph
 import rospkg
@@ -31,6 +33,8 @@ JOB_PATIENCE = 600.0
 NAMES = {"noisy_odom.py": "noisy_odom_node"}
 # About z, as a quaternion.
 QUARTER_TURN = quaternion_from_yaw(0.5 * math.pi)
+# Of the jobs that are run.
+RUNS = tempfile.TemporaryDirectory()
 PACKAGE = Path(rospkg.RosPack().get_path("bullet_lab"))
 
 
@@ -275,12 +279,11 @@ class NodeTest(unittest.TestCase):
         self.addCleanup(made.unregister)
         return made
 
-    def assert_bad_parameter(self, node, *words):
-        """Assert that a node ends with a line that has some words."""
-        self.assertEqual(2, node.wait(), node.err)
-        self.assertEqual(1, len(node.err.splitlines()), node.err)
-        for word in words:
-            self.assertIn(word, node.err)
+    def assert_ends_well(self, *nodes):
+        """Assert that nodes end with status 0 and no traceback."""
+        for node in nodes:
+            self.assertEqual(0, node.wait(), node.err)
+            self.assertNotIn("Traceback", node.err)
 
 
 def odometry(seconds, x=0.0, y=0.0, yaw=0.0, frame="odom", child="base_footprint"):
@@ -301,17 +304,28 @@ def transform(parent, child, position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0)
     return message
 
 
-def run_job(job, *words, folder, status=0, out="out"):
-    """Run a job on a master of its own; return its output folder and what it printed.
+class JobRun(NamedTuple):
+    """What a job has left: its output folder, in one of this run, and what it printed."""
+
+    out: Path
+    printed: str
+
+    @property
+    def summary(self):
+        """What its summary.json says."""
+        return json.loads((self.out / "summary.json").read_text())
+
+
+def run_job(job, *words, status=0, out="out"):
+    """Run a job on a master of its own, in a temporary folder of its own.
 
     Args:
         job: its name.
         words: arguments such as "seed:=1".
-        folder: where a folder for this run is made.
         status: that it is to end with.
         out: name of the output folder; empty for the default.
     """
-    where = Path(tempfile.mkdtemp(dir=folder))
+    where = Path(tempfile.mkdtemp(dir=RUNS.name))
     words = (job, *words, f"out:={out}") if out else (job, *words)
     environment = {k: v for k, v in os.environ.items() if k not in ("ROS_MASTER_URI", "ROS_IP")}
     run = subprocess.run(
@@ -325,4 +339,4 @@ def run_job(job, *words, folder, status=0, out="out"):
     )
     if run.returncode != status:
         raise AssertionError(f"{words} ended with status {run.returncode}:\n{run.stdout}")
-    return where / (out or f"results/{job}"), run.stdout
+    return JobRun(where / (out or f"results/{job}"), run.stdout)

@@ -30,7 +30,6 @@ from bullet_lab.navigation.occupancy import read_map
 from bullet_lab.ros.messages.poses import stamped_pose
 
 HOUSE = PACKAGE / "worlds" / "house.yaml"
-START = (0.3, -0.4, 0.5)
 
 
 def goal(x, y, yaw=0.0):
@@ -81,12 +80,6 @@ class NavigationTest(unittest.TestCase):
             saved = Path(folder, "saved.pgm").read_bytes()
             self.assertTrue(saved == HOUSE.with_suffix(".pgm").read_bytes())
             self.assertEqual(read_map(Path(folder, "saved.yaml")).origin, read_map(HOUSE).origin)
-
-    def test_3_the_robot_is_where_it_is_by_the_truth(self):
-        place = self.pose.messages[-1].pose.pose.position
-        self.assertLess(math.dist((place.x, place.y), START[:2]), 0.01)
-        turn = self.pose.messages[-1].pose.pose.orientation
-        self.assertAlmostEqual(2.0 * math.atan2(turn.z, turn.w), START[2], 2)
 
     def test_4_a_plan_can_be_asked_for(self):
         ask = rospy.ServiceProxy("move_base/make_plan", GetPlan)

@@ -63,7 +63,7 @@ class RelayTest(NodeTest):
     def places(self, *driver):
         """Drive; return the places of the robot."""
         before, driver = len(self.odom.messages), self.driver(*driver)
-        self.assertEqual(0, driver.wait(), driver.err)
+        self.assert_ends_well(driver)
         # The world goes on when the driver has gone.
         messages = self.odom.wait(before + MESSAGES)[before : before + MESSAGES]
         poses = [message.pose.pose.position for message in messages]
@@ -90,7 +90,7 @@ class RelayTest(NodeTest):
         driver = self.driver("open_loop")
         self.topic("cmd_vel", Twist).wait(20)
         relay.kill()
-        self.assertEqual(0, driver.wait(), driver.err)
+        self.assert_ends_well(driver)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """The robot job lists what of a robot is simulated, and drives it a metre and a turn."""
 
-import json
 import os
 import tempfile
 import unittest
@@ -83,10 +82,10 @@ class RobotJobTest(unittest.TestCase):
     """One run for each kind of file."""
 
     def run_job(self, *words, status=0):
-        out, printed = run_job("robot", *words, folder=FOLDER.name, status=status)
+        run = run_job("robot", *words, status=status)
         for name in ("robot.png", "robot.md", "truth.tum"):
-            self.assertTrue((out / name).stat().st_size, name)
-        return json.loads((out / "summary.json").read_text()), printed
+            self.assertTrue((run.out / name).stat().st_size, name)
+        return run.summary, run.printed
 
     def test_xacro(self):
         path = os.path.join(FOLDER.name, "cart.urdf.xacro")

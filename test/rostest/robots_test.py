@@ -97,11 +97,9 @@ class RobotsTest(NodeTest):
         self.assertTrue(changed.success, changed.status_message)
         square = {"mode": "closed_loop", "side": 0.1, "sides": 1, "turn_speed": 2.0}
         drive = self.node("drive_squares.py", remap=space, **square)
-        for node in (drive, plot):
-            self.assertEqual(0, node.wait(), node.err)
+        self.assert_ends_well(drive, plot)
         noise.signal()
-        self.assertEqual(0, noise.wait(), noise.err)
-        self.assertNotIn("Traceback", noise.err)
+        self.assert_ends_well(noise)
         files = {"odom.tum", "noisy_odom.tum", "paths.csv", "paths.png", "summary.json"}
         self.assertEqual(files, {path.name for path in out.iterdir()})
         summary = json.loads((out / "summary.json").read_text())

@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """The sensors job leaves what each sensor measured, true to the world."""
 
-import json
-import tempfile
 import unittest
 
 import numpy as np
@@ -11,7 +9,6 @@ import rostest
 from lab_testing import run_job
 from mcap.reader import make_reader
 
-FOLDER = tempfile.TemporaryDirectory()
 # Of worlds/sensors.world and urdf/sensor_robot.urdf.
 CRATE_WEIGHT, CRATE_FRICTION = 2.0 * 9.8, 0.5
 
@@ -21,8 +18,8 @@ class SensorsJobTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.out, _ = run_job("sensors", "record:=true", folder=FOLDER.name)
-        cls.summary = json.loads((cls.out / "summary.json").read_text())
+        run = run_job("sensors", "record:=true")
+        cls.out, cls.summary = run.out, run.summary
 
     def rows(self, name):
         table = self.out / f"{name}.csv"

@@ -170,7 +170,6 @@ class DockStandIn(RobotStandIn):
 
     Attributes:
         does: also "camera_info" and "detections".
-        matrix: K as camera_info tells it.
     """
 
     def __init__(self):
@@ -178,7 +177,6 @@ class DockStandIn(RobotStandIn):
         super().__init__(ends=[docked, undocked])
         self.pose = (2.6, 0.0, 0.0)
         self.does |= {"camera_info", "detections"}
-        self.matrix = CAMERA.matrix.ravel().tolist()
         self._publishers["camera_info"] = self._publisher("mycamera/camera_info", CameraInfo)
         self._publishers["detections"] = self._publisher("aruco/detections", MarkerDetectionArray)
         self._static = tf2_ros.StaticTransformBroadcaster()
@@ -195,7 +193,7 @@ class DockStandIn(RobotStandIn):
         if "camera_info" in self.does:
             info = CameraInfo(width=640, height=480, distortion_model="plumb_bob")
             info.header.stamp, info.header.frame_id = now, FRAME
-            info.K = self.matrix
+            info.K = CAMERA.matrix.ravel().tolist()
             self._publishers["camera_info"].publish(info)
         if "detections" in self.does:
             message = MarkerDetectionArray()

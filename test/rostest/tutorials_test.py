@@ -10,9 +10,9 @@ import subprocess
 import sys
 import tempfile
 import unittest
-from collections import defaultdict
 from pathlib import Path
 
+import numpy as np
 import rospkg
 import rospy
 import rostest
@@ -104,30 +104,24 @@ class TutorialsTest(unittest.TestCase):
         said = f"{cls.launch.said}\n{cls.robot.said}"
         self.assertIn("Successfully spawned", said)
 
-    def check(self, script):
-        """Return a function that checks a value that a script prints, numbers to a tolerance."""
-        status, out, err = command(sys.executable, str(TUTORIALS / "scripts" / script))
+    def check(self, name):
+        """Check what a script prints by the text beside it, numbers before +- to within those."""
+        script = TUTORIALS / "scripts" / name
+        status, out, err = command(sys.executable, str(script))
         self.assertEqual(0, status, f"{out}\n{err}")
-        printed = defaultdict(list)
-        for line in out.splitlines():
-            if not LOG_LINE.match(line):
-                what, _, values = line.partition(": ")
-                printed[what].append(values)
-        found = {what: said[0] if len(said) == 1 else said for what, said in printed.items()}
-
-        def expect(what, wanted, tolerance=0.0):
-            self.assertIn(what, found, found)
-            values = found[what]
-            if tolerance and isinstance(values, str):
-                numbers = [float(part) for part in values.split()]
-                parts = [float(part) for part in str(wanted).split()]
-                self.assertEqual(len(parts), len(numbers), f"{what}: {values}")
-                for part, number in zip(parts, numbers):
-                    self.assertAlmostEqual(part, number, delta=tolerance, msg=f"{what}: {values}")
+        printed = [line for line in out.splitlines() if not LOG_LINE.match(line)]
+        texts = script.with_suffix(".txt").read_text().splitlines()
+        wanted = [text for text in texts if not text.startswith("#")]
+        self.assertEqual(len(wanted), len(printed), out)
+        for text, line in zip(wanted, printed):
+            text, _, tolerance = text.partition(" +- ")
+            if tolerance:
+                (what, numbers), (whose, found) = (one.split(": ") for one in (text, line))
+                pair = (list(map(float, one.split())) for one in (found, numbers))
+                self.assertEqual(what, whose)
+                np.testing.assert_allclose(*pair, rtol=0.0, atol=float(tolerance), err_msg=line)
             else:
-                self.assertEqual(wanted, values, what)
-
-        return expect
+                self.assertEqual(text, line)
 
     # Launch files
 
@@ -141,36 +135,16 @@ class TutorialsTest(unittest.TestCase):
     # One script for each feature
 
     def test_the_functions_of_gazebo_ros(self):
-        self.check("spawner.py")("spawned", ["True", "False"])
+        self.check("spawner.py")
 
     def test_controllers_of_ros_control(self):
         cart = start("roslaunch", "--wait", "tutorials", "cart.launch")
         try:
-            expect = self.check("ros_control.py")
+            self.check("ros_control.py")
             adjusted = reconfigured("/cart/drive", wheel_separation_multiplier=9.0, publish_rate=20)
         finally:
             cart.end()
         self.assertNotIn("has died", cart.said)
-        velocity, wheels = "hardware_interface::VelocityJointInterface", "{0}left{1} {0}right{1}"
-        expect(
-            "controller",
-            [
-                "joint_state_controller running hardware_interface::JointStateInterface",
-                f"drive running {velocity} {wheels.format('', '_wheel_joint')}",
-                "mast running hardware_interface::EffortJointInterface mast_joint",
-            ],
-        )
-        # One that is not simulated, and one of which nobody knows.
-        expect("loaded", "False False")
-        expect("switched", "False")
-        expect("frames", "cart/odom cart/base_link")
-        # At most 0.5 m/s, for 1.5 s and the time-out; the truth is within 2 %.
-        expect("driven", "0.85", 0.2)
-        expect("off", "0", 0.017)
-        expect("speed", "0", 0.001)
-        expect("joints", "left_wheel_joint right_wheel_joint mast_joint")
-        expect("wheels", "6.25 6.25", 0.1)
-        expect("mast", "1 1 10", 0.02)
         if adjusted is not None:
             settings = ("wheel_separation_multiplier", "publish_rate", "enable_odom_tf")
             self.assertEqual([1.5, 20.0, True], [adjusted[name] for name in settings])
@@ -181,24 +155,10 @@ class TutorialsTest(unittest.TestCase):
     def test_an_arm_with_a_gripper(self):
         arm = start("roslaunch", "--wait", "tutorials", "arm.launch")
         try:
-            expect = self.check("arm.py")
+            self.check("arm.py")
         finally:
             arm.end()
         self.assertNotIn("has died", arm.said)
-        expect("servers", "True True")
-        expect("followed", "True 0")
-        expect("at", "0.5 0.5", 0.02)
-        expect("feedback", "True shoulder_pan_joint")
-        expect("moved by then", "0.5", 0.1)
-        expect("too fast", "4")
-        expect("because", "-4 joint 'shoulder_pan_joint': path error in position")
-        expect("unknown joint", "5 -2")
-        expect("cancelled", "True 2")
-        expect("by topic", "0.1", 2e-3)
-        expect("query", "shoulder_pan_joint 0.100")
-        expect("gripper", "3")
-        expect("closed", "0.03 True False")
-        expect("other finger", "0.03", 2e-3)
 
     # What courses' scripts were written for, beside the lab's own Python
 
@@ -251,17 +211,6 @@ class TutorialsTest(unittest.TestCase):
         self.assertEqual(0, spawn_model("-sdf -database crate -model third -y -40 -unpause")[0])
         wait_for(lambda: rospy.get_rostime() > before, "time to go on")
 
-    def test_spawn_model_says_what_is_wrong(self):
-        for line, wanted, said in (
-            ("-urdf -param /nix -model m", 1, "-param /nix: it is empty"),
-            ("-sdf -database crate -model wall", 1, "entity already exists"),
-            ("-urdf -model m", 2, "-file -param -database -stdin is required"),
-        ):
-            status, last = spawn_model(line)
-            self.assertEqual(wanted, status, line)
-            self.assertIn(said, last)
-            self.assertNotIn("m", names())
-
     def test_a_bonded_model_goes_with_its_spawner(self):
         words = ("-sdf", "-database", "crate", "-model", "guest", "-y", "-42", "-b")
         spawner = start(SPAWN_MODEL, *words)
@@ -270,11 +219,6 @@ class TutorialsTest(unittest.TestCase):
         self.assertIn("guest", names())
         spawner.end()
         wait_for(lambda: "guest" not in names(), "the guest to leave")
-
-    def test_a_second_server_is_refused(self):
-        status, _, err = command("rosrun", "gazebo_ros", "gzserver", "worlds/empty.world")
-        self.assertEqual(1, status)
-        self.assertIn("gazebo publishes /clock already", err)
 
     def test_the_window_is_a_page(self):
         window = start("rosrun", "gazebo_ros", "gzclient")

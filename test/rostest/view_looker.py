@@ -15,6 +15,7 @@ import time
 import numpy as np
 import viser
 import zstandard
+from lab_testing import wait_for
 from msgspec import msgpack
 from viser import _messages
 from websockets.exceptions import ConnectionClosed
@@ -222,12 +223,6 @@ def _with_arrays(value, buffers):
     return value
 
 
-def wait_for_url(output, seconds=180.0):
+def wait_for_url(output):
     """Return the URL that a view has printed; `output` says what it has printed so far."""
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        found = re.search(r"the view is at (\S+)", output())
-        if found:
-            return found[1]
-        time.sleep(0.05)
-    raise AssertionError(f"no URL in {output()!r}")
+    return wait_for(lambda: re.search(r"the view is at (\S+)", output()), output)[1]

@@ -131,20 +131,6 @@ class ViewStopsTest(NodeTest):
             wait_for(lambda: driver.listen()["time"] > newest + BURST, "the link")
             self.check_stop(before)
 
-    def test_another_page_takes_over_by_asking(self):
-        commands = self.topic("cmd_vel", Twist, False)
-        other = self.closed(Looker(self.url))
-        with self.looker.driver() as first, other.driver() as second:
-            self.drive(first, 0.0)
-            wait_for(lambda: second.listen()["other"], "the page to say who drives")
-            second.send("-1 0")
-            second.socket.send("take over")
-            wait_for(lambda: first.listen()["other"], "the other page to drive")
-            count = len(commands.messages)
-            first.send("1 0")
-            wait_for(lambda: commands.messages[-1] == Twist(), "the robot to be stopped")
-            self.assertFalse([m for m in commands.messages[count:] if m.linear.x])
-
     def test_a_slider_that_says_nan_or_too_much(self):
         commands = self.topic("cmd_vel", Twist, False)
         for value in (float("nan"), 1e9, -5.0):

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 
 import rospy
+import yaml
 from bullet_lab.msg import MarkerDetectionArray
 from gazebo_msgs.msg import ModelState, ModelStates
 from geometry_msgs.msg import Point, Pose, Quaternion
@@ -43,19 +44,19 @@ PICTURES, PICTURE_SECONDS = 3, 20.0
 # Chances of what happens in a simulated second. A robot that has come and gone leaves 1.4 to 4.6 kB
 # behind, all of it in PyBullet, and so does a model, 0.9 to 2, where more than six others went
 # before one like it came.
-CHANCES = {
-    "model": 0.25,
-    "no_model": 0.25,
-    "move": 0.1,
-    "robot": 0.04,
-    "no_robot": 0.04,
-    "listen": 0.12,
-    "no_listen": 0.12,
-    "visit": 0.008,
-    "no_visit": 0.008,
-    "reset_world": 0.01,
-    "reset_simulation": 0.003,
-}
+CHANCES = yaml.safe_load("""
+model: 0.25
+no_model: 0.25
+move: 0.1
+robot: 0.04
+no_robot: 0.04
+listen: 0.12
+no_listen: 0.12
+visit: 0.008
+no_visit: 0.008
+reset_world: 0.01
+reset_simulation: 0.003
+""")
 
 
 class Life:

@@ -24,7 +24,6 @@ Find = Callable[[np.ndarray], List[Tuple[int, np.ndarray]]]
 class Contestant:
     """A detector of 36h11, and the settings of which the best are taken."""
 
-    name: str
     make: Callable[[Mapping[str, Any]], Find]
     grid: Sequence[Mapping[str, Any]]
 
@@ -88,37 +87,32 @@ _SUBPIX, _CONTOUR = cv2.aruco.CORNER_REFINE_SUBPIX, cv2.aruco.CORNER_REFINE_CONT
 _APRILTAG = cv2.aruco.CORNER_REFINE_APRILTAG
 _SMALL = {"minMarkerPerimeterRate": 0.01, "adaptiveThreshWinSizeStep": 4}
 CONTESTANTS = {
-    one.name: one
-    for one in (
-        Contestant("ours", _ours, [{}, {"correction": 1.0}, {"min_side": 10.0}]),
-        Contestant(
-            "opencv",
-            _opencv,
-            [
-                {"cornerRefinementMethod": _SUBPIX},
-                {"cornerRefinementMethod": _SUBPIX, **_SMALL},
-                {"cornerRefinementMethod": _CONTOUR, **_SMALL},
-                {"cornerRefinementMethod": _APRILTAG},
-                {"cornerRefinementMethod": _SUBPIX, **_SMALL, "adaptiveThreshConstant": 4.0},
-            ],
-        ),
-        Contestant(
-            "pupil_apriltags",
-            _april,
-            [
-                {"quad_decimate": decimate, "quad_sigma": sigma, "decode_sharpening": sharp}
-                for decimate, sigma, sharp in (
-                    (1.0, 0.0, 0.25), (1.0, 0.8, 0.25), (1.0, 0.0, 0.5), (2.0, 0.0, 0.25),
-                )
-            ],
-        ),
-    )
+    "ours": Contestant(_ours, [{}, {"correction": 1.0}, {"min_side": 10.0}]),
+    "opencv": Contestant(
+        _opencv,
+        [
+            {"cornerRefinementMethod": _SUBPIX},
+            {"cornerRefinementMethod": _SUBPIX, **_SMALL},
+            {"cornerRefinementMethod": _CONTOUR, **_SMALL},
+            {"cornerRefinementMethod": _APRILTAG},
+            {"cornerRefinementMethod": _SUBPIX, **_SMALL, "adaptiveThreshConstant": 4.0},
+        ],
+    ),
+    "pupil_apriltags": Contestant(
+        _april,
+        [
+            {"quad_decimate": decimate, "quad_sigma": sigma, "decode_sharpening": sharp}
+            for decimate, sigma, sharp in (
+                (1.0, 0.0, 0.25), (1.0, 0.8, 0.25), (1.0, 0.0, 0.5), (2.0, 0.0, 0.25),
+            )
+        ],
+    ),
 }  # fmt: skip
 # A detector that is compared only where it is installed, from 0.10 on. Another one is a function
 # like these and an entry: from settings to what finds ids and corners in an image.
 if hasattr(locus, "DetectionBatch"):
     CONTESTANTS["locus"] = Contestant(
-        "locus", _locus, [{"profile": "standard"}, {"profile": "high_accuracy"}]
+        _locus, [{"profile": "standard"}, {"profile": "high_accuracy"}]
     )
 
 
