@@ -6,7 +6,7 @@
 #   camera            frames, against bare rendering; 30 Hz with aruco.py: --frames N, --seconds S
 #   aruco             from image to pose, against OpenCV's detector: --rounds N
 #   detectors         detections, corners and poses, against OpenCV and AprilTag: --scenes N, --crops N
-#   laser             scans, and fleets of robots with lasers: --rounds N, --seconds S (simulated)
+#   laser             scans, and the engine alone with 20 robots: --rounds N, --seconds S (simulated)
 #   world             spawning, deleting and saving many models: --models N, --camera
 #   dock              a campaign of dockings on all cores: --dockings N
 #   robots            speed against the number of robots: --rounds N, --seconds S (simulated)

@@ -12,7 +12,6 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
-import yaml
 from detectors.backgrounds import crops, originals, photographs
 from detectors.contestants import CONTESTANTS, Find
 from detectors.scenes import CAMERA, SIZE, Conditions, Scene, draw_scene
@@ -25,14 +24,14 @@ from bullet_lab.vision.marker_pose import estimate_pose
 DISTANCES = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 ANGLES = (0.0, 20.0, 40.0, 60.0)
 # Levels of the conditions of these names.
-STRESSES: Dict[str, Tuple[float, ...]] = yaml.safe_load("""
-motion: [3.0, 7.0, 10.0, 13.0]
-blur: [1.0, 1.5, 2.0, 3.0]
-noise: [5.0, 10.0, 20.0]
-contrast: [0.3, 0.15, 0.08]
-occlusion: [0.02, 0.06, 0.2]
-glare: [0.3, 0.6, 1.0]
-""")
+STRESSES: Dict[str, Tuple[float, ...]] = {
+    "motion": (3.0, 7.0, 10.0, 13.0),
+    "blur": (1.0, 1.5, 2.0, 3.0),
+    "noise": (5.0, 10.0, 20.0),
+    "contrast": (0.3, 0.15, 0.08),
+    "occlusion": (0.02, 0.06, 0.2),
+    "glare": (0.3, 0.6, 1.0),
+}
 CROP = (320, 240)
 PIXEL_SIGMA = 1e-3
 """px; the renderings have no lens or print that would add to the noise."""
@@ -93,11 +92,13 @@ def consistency(settings: Mapping[str, Any], scenes: Sequence[Scene]) -> Dict[st
     Poses of which the other one is nearer to the truth are flips, which are counted apart.
     """
     detector = MarkerDetector(DetectorSettings("apriltag_36h11", **settings))
-    squares, flips = [], 0
+    squares, of_corners, flips = [], [], 0
     for scene in scenes:
         for marker in detector.detect(scene.image).markers:
             if right(scene, [(marker.id, marker.corners)]) is None:
                 continue
+            off = (marker.corners - scene.corners).ravel()
+            of_corners.append(float(off @ np.linalg.solve(marker.covariance, off)))
             estimate = estimate_pose(marker.corners, SIZE, CAMERA, PIXEL_SIGMA, marker.covariance)
             pose = estimate.nearest_to(scene.rotation)
             flips += pose is not estimate.best
@@ -115,6 +116,7 @@ def consistency(settings: Mapping[str, Any], scenes: Sequence[Scene]) -> Dict[st
         "nees": mean,
         "bounds": [low, high],
         "within": low <= mean <= high,
+        "corner_nees": float(np.mean(of_corners)) / 8.0,
     }
 
 
