@@ -113,4 +113,4 @@ class JobsTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "jobs_test", "__main__")
+    rostest.rosrun("bullet_lab", "small_jobs_test", "__main__")
