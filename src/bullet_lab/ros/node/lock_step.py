@@ -20,6 +20,7 @@ from io import BytesIO
 from typing import Any, Callable, Iterator, Sequence
 
 import genpy
+import rosgraph
 import rospy
 from geometry_msgs.msg import Twist
 from rospy.msg import serialize_message
@@ -28,9 +29,11 @@ from bullet_lab.core import parameters
 from bullet_lab.errors import LabError
 from bullet_lab.ros.node.node import (
     LOCK_STEP,
+    MASTER_ERRORS,
     NodeError,
     Refusals,
     check_running,
+    holds_within,
     is_ending,
     wait_until,
 )
@@ -40,7 +43,7 @@ SERVICE = "/bullet_lab/advance"
 WAIT_FOR_BRIDGE_SECONDS = 60.0
 # Wall seconds within which commands must reach the bridge, and between two checks.
 WAIT_FOR_ROUTE_SECONDS = 2.0
-ROUTE_CHECK_SECONDS = 0.1
+ROUTE_CHECK_SECONDS = 0.02
 END_OF_TIME = rospy.Time(2**31 - 1)
 # Wall seconds for a latched message to reach subscribers that are still connecting.
 GOODBYE_SECONDS = 0.5
@@ -69,6 +72,13 @@ def in_lock_step() -> bool:
     return declaration.read(rospy.get_param(f"~{LOCK_STEP}", False), f"~{LOCK_STEP}")
 
 
+def _bridge_is_there() -> bool:
+    try:
+        return bool(rosgraph.Master(rospy.get_name()).lookupService(SERVICE))
+    except MASTER_ERRORS:
+        return False
+
+
 class Member:
     """The membership of this process in the bridge's lock step.
 
@@ -88,8 +98,10 @@ class Member:
         Waits until published commands reach the bridge, directly or through a relay. Raises
         ROSInterruptException if ROS or the bridge shuts down, NodeError if there is no bridge.
         """
+        # rospy would look for it only every 0.3 s.
+        is_offered = holds_within(_bridge_is_there, WAIT_FOR_BRIDGE_SECONDS)
         try:
-            rospy.wait_for_service(SERVICE, WAIT_FOR_BRIDGE_SECONDS)
+            rospy.wait_for_service(SERVICE, WAIT_FOR_BRIDGE_SECONDS if is_offered else 0.1)
         except rospy.ROSException as error:
             if is_ending():
                 raise rospy.ROSInterruptException(str(error)) from error

@@ -45,6 +45,7 @@ def publisher(topic, kind, messages=0, receiver="/bridge"):
 def bridge(monkeypatch):
     made = Bridge()
     monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
+    monkeypatch.setattr(lock_step, "_bridge_is_there", lambda: True)
     monkeypatch.setattr(rospy, "ServiceProxy", lambda *_, **__: made)
     monkeypatch.setattr(rospy, "get_name", lambda: "/member")
     monkeypatch.setattr(lock_step, "ROUTE_CHECK_SECONDS", 0.0)
