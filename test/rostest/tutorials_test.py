@@ -220,6 +220,20 @@ class TutorialsTest(unittest.TestCase):
         spawner.end()
         wait_for(lambda: "guest" not in names(), "the guest to leave")
 
+    def test_what_is_refused_says_why(self):
+        for line, wanted, said in (
+            ("-urdf -param /nix -model m", 1, "-param /nix: it is empty"),
+            ("-sdf -database crate -model wall", 1, "entity already exists"),
+            ("-urdf -model m", 2, "-file -param -database -stdin is required"),
+        ):
+            status, last = spawn_model(line)
+            self.assertEqual(wanted, status, line)
+            self.assertIn(said, last)
+            self.assertNotIn("m", names())
+        status, _, err = command("rosrun", "gazebo_ros", "gzserver", "worlds/empty.world")
+        self.assertEqual(1, status)
+        self.assertIn("gazebo publishes /clock already", err)
+
     def test_the_window_is_a_page(self):
         window = start("rosrun", "gazebo_ros", "gzclient")
         self.addCleanup(window.end)

@@ -53,7 +53,9 @@ class Driven:
 
     def drive(self, socket, shares):
         """Send shares with each time from the server, until one was in time."""
+        deadline = time.monotonic() + 60.0
         while shares not in self.sent:
+            assert time.monotonic() < deadline
             socket.send("{} {} {}".format(json.loads(socket.recv(60))["time"], *shares))
 
     def all_until_still(self):
