@@ -294,8 +294,8 @@ def run_job(job: Job, folder: Path, environment: Mapping[str, str]) -> Results |
 
 def _run(out: Path, settings: VerifySettings, tell: Tell) -> None:
     package = package_share()
-    known = find_jobs(package)
-    jobs = [choose_job(known, name) for name in settings.jobs or known if name not in UNREPEATABLE]
+    known = {name: job for name, job in find_jobs(package).items() if name not in UNREPEATABLE}
+    jobs = [choose_job(known, name) for name in settings.jobs or known]
     machine, references = read_references(package / REFERENCES)
     with whole_results(out) as part:
         todo = [(job, part / "runs" / job.name / w) for job in jobs for w in ("first", "second")]

@@ -114,6 +114,11 @@ def test_references_that_are_none_are_refused(tmp_path):
         read_references(tmp_path / "a.json")
 
 
+def test_a_job_that_does_not_repeat_is_refused(tmp_path):
+    with pytest.raises(LabError, match="^there is no job 'grade'"):
+        verify._run(tmp_path, verify.VerifySettings(jobs=("squares", "grade")), print)
+
+
 def test_each_exception_and_reference_has_a_job():
     others = set(JOBS) - set(UNREPEATABLE)
     assert set(read_references(PACKAGE / REFERENCES)[1]) <= others
