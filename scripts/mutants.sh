@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
 # Puts mistakes into the library, one at a time, and looks whether a unit test fails:
 # scripts/mutants.sh [--count N] [--seed S] [--rooms core,noise,…] [--jobs N] [--known]
+#   [--seconds S]
 # --known takes which tests run which lines from the last run, and so starts at once.
+# --seconds S: how long to run the tests of one mistake, the nearest and shortest first
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh

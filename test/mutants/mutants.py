@@ -2,7 +2,8 @@
 
 results/mutants/mutants.csv has a row for each; those that no test notices have survived.
 --count N mutants of the library's folders --rooms, --jobs at a time; --known: by the coverage that
-the last run has measured.
+the last run has measured. A mutant whose tests take longer than --seconds is tried with the nearest
+and shortest of them.
 """
 
 from __future__ import annotations
@@ -35,8 +36,6 @@ from lab_nodes import parser_of  # noqa: E402
 LIBRARY = "src/bullet_lab"
 ROOMS = ("core", "noise", "drive.py", "docking", "vision", "simulation/world")
 UNIT_TESTS = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not long")
-# s. A mutant whose tests take longer is tried with the nearest and shortest of them.
-LONGEST = 150.0
 # s that a mutant's tests may take beyond three times their usual time: a loop may not end.
 PATIENCE = 90.0
 OUTCOMES = {0: "survived", 1: "killed", 2: "killed", 5: "not run by any test"}
@@ -56,8 +55,8 @@ class Tests:
     of_file: Dict[str, List[str]] = field(default_factory=lambda: defaultdict(list))
     seconds: Dict[str, float] = field(default_factory=dict)
 
-    def of(self, mutant):
-        """Return the tests that may notice a mutant, in the order in which to run them."""
+    def of(self, mutant, longest):
+        """Return the tests that may notice a mutant, in the order to run them, in `longest` s."""
         lines = self.of_line.get(mutant.file, {})
         covering = set(lines.get(mutant.line, ()))
         if not covering:
@@ -74,7 +73,7 @@ class Tests:
 
         names = sorted((name for file in files for name in self.of_file[file]), key=place)
         totals = itertools.accumulate(self.seconds[name] for name in names)
-        return [name for name, total in zip(names, totals) if total <= LONGEST]
+        return [name for name, total in zip(names, totals) if total <= longest]
 
 
 def run_all(folder):
@@ -120,9 +119,9 @@ def drawn(rooms, count, seed):
     return random.Random(seed).sample(everything, min(count, len(everything)))
 
 
-def outcome(mutant, tests):
-    """Run the tests of a mutant until one fails."""
-    names = tests.of(mutant)
+def outcome(mutant, tests, longest):
+    """Run the tests of a mutant until one fails, for `longest` s."""
+    names = tests.of(mutant, longest)
     if not names:
         return OUTCOMES[5]
     *folders, file = Path(mutant.file).relative_to("src").with_suffix("").parts
@@ -187,6 +186,7 @@ def main():
         rooms=",".join(ROOMS),
         jobs=os.cpu_count(),
         known=False,
+        seconds=60.0,
         out=Path("results/mutants"),
     )
     wanted = parser.parse_args()
@@ -198,7 +198,7 @@ def main():
     rooms = wanted.rooms.split(",")
     mutants = drawn(rooms, wanted.count, wanted.seed)
     with ThreadPoolExecutor(wanted.jobs) as pool:
-        found = pool.map(lambda mutant: outcome(mutant, tests), mutants)
+        found = pool.map(lambda mutant: outcome(mutant, tests, wanted.seconds), mutants)
         rows = dict(zip(mutants, tqdm(found, total=len(mutants), desc="mutants", unit="mutant")))
     with (out / "mutants.csv").open("w") as file:
         writer = csv.DictWriter(file, [*asdict(mutants[0]), "outcome"])
