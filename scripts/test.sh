@@ -9,13 +9,15 @@
 # --random-order: unit tests in another order each time; the seed is printed
 # --random-seed S: in the order of that seed
 # --repeat N: run them N times, and list the tests that did not pass each time
+# --at-once M: M of these runs at the same time
 # --load K: beside K processes that are always busy
 set -euo pipefail
 
 # shellcheck source=scripts/environment.sh
 source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
 
-LOG=$LAB_DIR/log/test
+# Runs at the same time have folders of their own.
+LOG=${LAB_TEST_LOG:-$LAB_DIR/log/test}
 export LAB_TALLY=$LOG/tally
 # Words for the command that runs again what has failed.
 AGAIN=$LOG/again
@@ -183,6 +185,15 @@ run_once() {
   ((passed && !failed))
 }
 
+# run_number NUMBER SEED [argument ...]: one run of several; the seed may be empty.
+run_number() {
+  local number=$1 order=()
+  set -o pipefail
+  [[ ! $2 ]] || order=(--random-seed $(($2 + number)))
+  LAB_TEST_LOG=$LOG/runs/$number "$LAB_ROOT/scripts/test.sh" "${order[@]}" "${@:3}" 2>&1 \
+    | sed -u "s/^/$number: /"
+}
+
 # count_coverage: in every Python process that is started from here; coverage's .pth file asks for
 # this variable.
 count_coverage() {
@@ -203,17 +214,18 @@ be_busy() {
 }
 
 main() {
-  local long='' coverage='' load=0 repeat=1 seed='' parts=() number status=0
+  local long='' coverage='' load=0 repeat=1 at_once=1 seed='' parts=() status=0
   while (($#)); do
     case $1 in
       --long) long=yes ;;
       --coverage) coverage=yes ;;
       --random-order) seed=$RANDOM ;;
-      --random-seed | --repeat | --load)
+      --random-seed | --repeat | --at-once | --load)
         [[ ${2-} =~ ^[0-9]+$ ]] || { usage >&2 && exit 2; }
         case $1 in
           --random-seed) seed=$2 ;;
           --repeat) repeat=$2 ;;
+          --at-once) at_once=$2 ;;
           --load) load=$2 ;;
         esac
         shift
@@ -232,24 +244,22 @@ main() {
   export ROS_IP=127.0.0.1
   [[ ! $coverage ]] || count_coverage
   ((!load)) || be_busy "$load"
-  rm -rf "$LOG/runs"
-  for ((number = 1; number <= repeat; number++)); do
-    if [[ $seed ]]; then
-      echo "order of the unit tests: --random-seed $seed"
-      LAB_PYTEST_OPTIONS="-q --random-order --random-order-seed=$seed"
-      seed=$((seed + 1))
-    fi
-    run_once "${parts[@]}" || status=1
-    if ((repeat > 1)); then
-      mkdir -p "$LOG/runs"
-      cp -r "$LOG/junit" "$LOG/runs/$number"
-    fi
-  done
-  ((repeat == 1)) || python "$SUITE/outcomes.py" "$LOG/runs" || status=1
-  return "$status"
+  if ((repeat > 1)); then
+    rm -rf "$LOG/runs"
+    # shellcheck disable=SC2016,SC2086 # expanded by the shell that xargs starts; options
+    seq "$repeat" | xargs -P "$at_once" -I {} bash -c 'run_number "$@"' run_number {} "$seed" \
+      ${long:+--long} ${coverage:+--coverage} "${parts[@]}" || status=1
+    python "$SUITE/outcomes.py" "$LOG/runs" || status=1
+    return "$status"
+  fi
+  if [[ $seed ]]; then
+    echo "order of the unit tests: --random-seed $seed"
+    LAB_PYTEST_OPTIONS="-q --random-order --random-order-seed=$seed"
+  fi
+  run_once "${parts[@]}"
 }
 
-export -f attribute count summary_of run_faults run_fuzz run_lint run_part run_program run_pytest
-export -f run_rostest
+export -f attribute count summary_of run_faults run_fuzz run_lint run_number run_part run_program
+export -f run_pytest run_rostest
 export AGAIN LOG MUTANTS FAULTS ROSTEST_TIMEOUT LAB_ROOT LAB_ROS
 main "$@"

@@ -1,6 +1,6 @@
 """Lists the tests that did not pass in each of several runs of scripts/test.sh; status 1 if any.
 
-Usage: outcomes.py FOLDER, which has a folder of JUnit files for each run.
+Usage: outcomes.py FOLDER, which has a folder for each run with one of JUnit files, junit.
 """
 
 import sys
@@ -11,7 +11,7 @@ from pathlib import Path
 
 def outcomes_of(folder):
     """Yield the name of each test below a folder, and how it ended."""
-    for path in folder.rglob("*.xml"):
+    for path in (folder / "junit").rglob("*.xml"):
         for case in ElementTree.parse(str(path)).iter("testcase"):
             name = f"{case.get('classname')}::{case.get('name')}"
             kinds = {child.tag for child in case} & {"failure", "error", "skipped"}
