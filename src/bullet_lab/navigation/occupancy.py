@@ -255,7 +255,8 @@ class RobotCostmap:
                 f"the goal ({x:.2f}, {y:.2f}) m is {room:.2f} m from something; "
                 f"the robot needs {self._least:.2f} m"
             )
-        return f"no way to ({x:.2f}, {y:.2f}) m is wide enough for a radius of {self._radius:.3g} m"
+        way = "way" if self._allow_unknown else "way over known floor"
+        return f"no {way} to ({x:.2f}, {y:.2f}) m is wide enough for a radius of {self._radius:.3g} m"
 
     def values(self) -> OccupancyMap:
         """Return the costs as costmap_2d publishes them: 100 in the way, 99 too near, down to 0."""

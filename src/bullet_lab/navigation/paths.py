@@ -79,8 +79,8 @@ class CostGrid:
 
     def path(self, goal: Sequence[float]) -> list[Point] | None:
         """Return the way points from the start to a goal, both included; None without a way."""
-        off = np.asarray(goal[:2]) - self._low
-        if np.any(off < 0.0) or np.any(off > self.cell * (np.array(self._shape) - 1)):
+        cells = np.round((np.asarray(goal[:2]) - self._low) / self.cell)
+        if np.any(cells < 0) or np.any(cells >= self._shape):
             return None
         if not np.isfinite(self.costs.ravel()[self._index(goal)]):
             return None

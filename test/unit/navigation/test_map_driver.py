@@ -43,7 +43,9 @@ START = (1.0, 1.0, 0.0)
 
 
 def test_on_free_floor_the_plan_is_straight():
-    assert RobotCostmap(floor(), 0.2).plan((0.5, 0.5), (3.5, 2.0)) == [(0.5, 0.5), (3.5, 2.0)]
+    # Up to the map's edge.
+    for goal in (3.5, 2.0), (3.99, 2.99):
+        assert RobotCostmap(floor(), 0.2).plan((0.5, 0.5), goal) == [(0.5, 0.5), goal]
     # A robot too near to a wall drives away from it.
     way = RobotCostmap(floor(ACROSS), 0.3).plan((1.8, 1.5), (0.5, 1.5))
     assert max(x for x, _ in way) <= 1.8
@@ -75,8 +77,10 @@ def test_without_a_way_there_is_a_reason(goal, radius, why):
 def test_unknown_floor_is_dear_or_closed():
     known = floor(unknown=[(1.5, 0.0, 2.5, 2.0)])
     assert RobotCostmap(known, 0.2, allow_unknown=True).plan((1.0, 0.2), (3.0, 0.2)) is not None
-    around = RobotCostmap(known, 0.2, allow_unknown=False).plan((1.0, 1.0), (3.0, 1.0))
-    assert max(y for _, y in around) > 2.0
+    closed = RobotCostmap(known, 0.2, allow_unknown=False)
+    assert max(y for _, y in closed.plan((1.0, 1.0), (3.0, 1.0))) > 2.0
+    assert closed.plan((1.0, 1.0), (2.0, 1.0)) is None
+    assert "over known floor to (2.00, 1.00) m" in closed.why_not((2.0, 1.0))
 
 
 def test_costs_fall_with_the_distance_as_costmap_2d_publishes_them():
