@@ -23,7 +23,7 @@ command.main(None)
 
 
 def test_ctrl_c_while_python_ends_changes_no_status():
-    assert subprocess.run([sys.executable, "-c", ENDING], timeout=60).returncode == STATUS_FAILED
+    assert subprocess.run([sys.executable, "-c", ENDING], timeout=600).returncode == STATUS_FAILED
 
 
 @cases("""

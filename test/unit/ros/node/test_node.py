@@ -58,13 +58,13 @@ node.run_node("thing", body)
 
 
 def test_a_call_that_the_end_of_the_master_breaks_is_one_line():
-    run = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=60)
+    run = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=600)
     assert (run.returncode, run.stderr) == (1, "thing: the ROS master is gone\n")
 
 
 def test_a_signal_that_another_thread_gets_ends_a_node_that_only_listens():
     run = subprocess.run(
-        [sys.executable, "-c", SPINNING], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", SPINNING], capture_output=True, text=True, timeout=600
     )
     assert (run.stdout, run.stderr) == ("15\n", "")
 
@@ -73,7 +73,7 @@ def test_a_signal_that_another_thread_gets_ends_a_node_that_only_listens():
 def test_a_signal_ends_a_node_whose_main_thread_is_busy(name):
     program = PROGRAM.format(name=name)
     run = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=600
     )
     assert (run.returncode, run.stdout, run.stderr) == (0, "True\n", "")
 
