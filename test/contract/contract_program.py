@@ -8,8 +8,6 @@ It needs a ROS master with a simulator: this package's bridge, or a Gazebo.
 :ROS Subscribers, publishers: the topics of the probes that it spawns
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import Counter

@@ -1,7 +1,5 @@
 """Runs the contract: spawns probes, lets time run, calls services, judges and cleans up."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import deque
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ same seed. A failure leaves its folder there, and the command that repeats it.
 --count N: number of faults, from the index --first on.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """A trial: one job with one fault, and the checks afterwards."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -14,7 +12,6 @@ import time
 import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import List, Optional
 
 import psutil
 import rosgraph.names
@@ -63,9 +60,9 @@ class Outcome:
 
     struck: bool = False
     victim: str = ""
-    status: Optional[int] = None
+    status: int = None
     seconds: float = 0.0
-    wrong: List[str] = field(default_factory=list)
+    wrong: list = field(default_factory=list)
 
 
 class Trial:

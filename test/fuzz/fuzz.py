@@ -6,8 +6,6 @@ in the results' folder, beside the command that repeats it.
 first mutant. --each N: mutants of a way's share before the next one.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

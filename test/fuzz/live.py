@@ -6,8 +6,6 @@ all nodes live, time goes on, nothing that is not finite has come out on the odo
 view drove stands.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Random messages on both sockets of the view's page: viser's, and the one that drives."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

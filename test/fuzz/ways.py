@@ -3,8 +3,6 @@
 Each takes a mutant and returns the numbers that came of it; it may raise LabError, nothing else.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib
@@ -13,7 +11,7 @@ import pkgutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Iterable, Sequence
+from typing import Callable
 
 import rosbag
 import rospy
@@ -58,9 +56,9 @@ class Way:
         share: how many mutants go this way in a round; those that take long are fewer.
     """
 
-    seeds: Callable[[], Sequence[bytes]]
+    seeds: Callable
     suffix: str
-    enter: Callable[[Path], Iterable[float]]
+    enter: Callable
     share: int = 8
 
 

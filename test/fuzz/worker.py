@@ -5,8 +5,6 @@ by that where it has died or hangs. What an exception does not tell is watched h
 are opened where nothing of the package has a reason to, numbers that are not finite, memory.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """A stage in this process: the simulation itself, without ROS."""
 
-from __future__ import annotations
-
 from beside_scenarios import Stage
 
 from bullet_lab.core.pose import Pose

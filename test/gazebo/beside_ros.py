@@ -5,8 +5,6 @@
 :ROS Publishers: cmd_vel in the namespace of each robot
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

@@ -5,12 +5,9 @@ that plays something short with boxes, balls and joints (beside_trials.py). Both
 `Stage`, which is a simulation in this process or a simulator on a ROS master.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple, Union
 
 import yaml
 
@@ -26,15 +23,12 @@ SAMPLE = 0.1
 """Simulated seconds between two points of a path."""
 
 
-Figure = Union[float, str, List[float]]
-
-
 @dataclass
 class Played:
     """What came of a scenario: figures by name, and the path as rows t, x, y, yaw (s, m, rad)."""
 
-    figures: Dict[str, Figure] = field(default_factory=dict)
-    path: List[Tuple[float, float, float, float]] = field(default_factory=list)
+    figures: dict = field(default_factory=dict)
+    path: list = field(default_factory=list)
 
 
 class Stage:
@@ -115,13 +109,13 @@ class Drive:
 
     name: str
     robot: str
-    legs: Tuple[Leg, ...]
+    legs: tuple
     moves: str
     heading: float = 0.0
     height: float = 0.0
-    changes: Sequence[Sequence[str]] = ()
+    changes: tuple = ()
     judged: int = 99
-    turned: Sequence[float] = (0.0,)
+    turned: tuple = (0.0,)
 
     def name_at(self, heading):
         """Return the name of its figures when its heading is turned by some degrees."""

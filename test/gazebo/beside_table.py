@@ -1,7 +1,5 @@
 """Figures of two simulators side by side, and what may lie between them."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -10,11 +8,10 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Optional
 
 import numpy as np
 import yaml
-from beside_scenarios import ROLLS, SLIDES, SLIPS, Figure, Played, motions, name_of
+from beside_scenarios import ROLLS, SLIDES, SLIPS, Played, motions, name_of
 
 WIDEST = 36
 """Characters of a figure in the table."""
@@ -43,10 +40,10 @@ class Row:
 
     scenario: str
     quantity: str
-    gazebo: Optional[Figure]
-    here: Optional[Figure]
+    gazebo: object
+    here: object
     allowed: str
-    apart: Optional[float]
+    apart: float
     verdict: str
 
 

@@ -4,8 +4,6 @@ twist: from cmd_vel to the row in paths.csv, through the bridge, noisy_odom and 
 image: from the camera to the decision of docking, through the bridge, aruco and dock.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess
@@ -14,7 +12,6 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Tuple
 
 PACKAGE = Path(__file__).resolve().parents[2]
 LIBRARY = "src/bullet_lab/"
@@ -26,8 +23,8 @@ START_SECONDS, TRACE_SECONDS = 120.0, 5.0
 class Walk:
     """A job, the executables that the message passes through, and seconds before the trace."""
 
-    job: Tuple[str, ...]
-    executables: Tuple[str, ...]
+    job: tuple
+    executables: tuple
     after: float
 
 

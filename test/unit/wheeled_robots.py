@@ -3,7 +3,6 @@
 import math
 import struct
 from dataclasses import dataclass, replace
-from typing import Tuple
 
 import numpy as np
 
@@ -29,8 +28,8 @@ class Robot:
     radius: float = 0.035
     width: float = 0.02
     separation: float = 0.16
-    centre: Tuple[float, float, float] = (-0.005, 0.0, 0.02)
-    casters: Tuple[Tuple[float, float], ...] = ((-0.08, 0.0),)
+    centre: tuple = (-0.005, 0.0, 0.02)
+    casters: tuple = ((-0.08, 0.0),)
     balls: bool = False
     wheel_tags: str = "<mu1>0.1</mu1><mu2>0.1</mu2>"
     caster_tags: str = "<mu1>0.1</mu1><mu2>0.1</mu2>"
