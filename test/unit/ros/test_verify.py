@@ -2,11 +2,10 @@
 
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from PIL import Image
 from shared import PACKAGE, cases
 
@@ -46,14 +45,14 @@ FILES = {
 }
 
 
-def test_each_kind_of_file_has_its_numbers(tmp_path):
+def test_each_kind_of_file_has_its_numbers(tmp_path, as_before):
     found = {name: of(tmp_path, name, text) for name, text in FILES.items()}
     pixels = np.zeros((4, 6, 3), dtype=np.uint8)
     pixels[:2, :, 0] = 200
     Image.fromarray(pixels).save(tmp_path / "a.png")
     found["a.png"] = fingerprint(tmp_path / "a.png")
     told = [line for name, one in found.items() for line in lines_of(one["numbers"], name)]
-    assert_as_before(told, Path(__file__).with_name("fingerprints.txt"))
+    as_before(told, "fingerprints.txt")
 
 
 def test_tables_are_compared_by_their_bytes(tmp_path):

@@ -1,10 +1,9 @@
 import math
-from pathlib import Path
 
 import docking_standin as standin
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from bullet_lab.msg import DockGoal, MarkerDetectionArray, UndockGoal
 from geometry_msgs.msg import Quaternion
 from message_fields import check, message
@@ -55,7 +54,7 @@ DETECTIONS = """
 """
 
 
-def test_messages_are_read_as_before():
+def test_messages_are_read_as_before(as_before):
     odometry = message(Odometry, ODOMETRY)
     odometry.twist.covariance = list(range(36))
     # The optical frame of a camera that looks ahead.
@@ -67,7 +66,7 @@ def test_messages_are_read_as_before():
         "sightings": sightings_of(message(MarkerDetectionArray, DETECTIONS)),
     }
     assert found["sightings"][1][0].corners.dtype == np.float64
-    assert_as_before(lines_of(found, "read"), Path(__file__).with_name("docking.txt"))
+    as_before(lines_of(found, "read"), "docking.txt")
 
 
 def goal(frame):

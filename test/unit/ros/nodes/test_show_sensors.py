@@ -1,7 +1,4 @@
-from pathlib import Path
-
 import pytest
-from alike import assert_as_before
 from message_fields import message, plain
 from shared import cases
 from visualization_msgs.msg import Marker
@@ -32,11 +29,11 @@ def touching(force=2.0, normals="[{x: -1}, {x: -1}]", before=False):
 
 
 @cases("before: [false, true]")
-def test_each_point_of_the_last_step_has_a_sphere_a_normal_and_its_force(before):
+def test_each_point_of_the_last_step_has_a_sphere_a_normal_and_its_force(before, as_before):
     # The second point of each pair of shapes bears nothing: no arrow.
     markers = contact_markers(touching(before=before), 0.1)
     told = [line for marker in markers for line in str(marker).splitlines()]
-    assert_as_before(told, Path(__file__).with_name("contacts.txt"))
+    as_before(told, "contacts.txt")
 
 
 @cases("before: [false, true]")

@@ -2,11 +2,10 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of, lines_of_figure
+from alike import lines_of, lines_of_figure
 from shared import cases
 from study_runs import csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
@@ -35,7 +34,6 @@ from bullet_lab.studies.detection_range.trial import (
 from bullet_lab.studies.worlds import LIGHTS
 from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose
 
-HERE = Path(__file__).parent
 WANTED = WORLDS["docking"][0]
 # Places of other markers.
 LEFT, RIGHT = (3.3, 0.9, 0.5), (3.3, -0.9, 0.5)
@@ -95,7 +93,7 @@ def test_another_id_or_corners_that_are_off_are_false(off):
     assert (frame.found, frame.false) == (False, 1)
 
 
-def test_a_cell_comes_down_to_rates_and_spreads():
+def test_a_cell_comes_down_to_rates_and_spreads(as_before):
     frames = (
         Frame(True, 1, 0, 0, 0.01, 0.002, math.radians(2.0)),
         Frame(True, 0, 1, 0, -0.03, 0.004, math.radians(4.0), True),
@@ -104,7 +102,7 @@ def test_a_cell_comes_down_to_rates_and_spreads():
     told = []
     for place, seen_there in ((cell(2.0, 30.0), frames), (cell(2.0), frames[2:])):
         told += lines_of(cell_row(place, True, seen_there, 6.25), "cell")
-    assert_as_before(told, HERE / "cells.txt")
+    as_before(told, "cells.txt")
 
 
 # ---- Ranges ----
@@ -142,14 +140,14 @@ def test_the_range_is_the_longest_without_a_gap(rates, bearing, closest, farthes
     assert found_range(rows_of(rates), bearing) == (closest, farthest)
 
 
-def test_the_summary_has_the_ranges_of_each_world_and_light():
+def test_the_summary_has_the_ranges_of_each_world_and_light(as_before):
     rows = rows_of({0.34: 1.0, 4.0: 1.0, 5.0: 1.0, 6.0: 0.5})
     rows += rows_of({1.0: 1.0, 4.0: 0.95}, bearing=30.0)
     rows += rows_of({1.0: 1.0}, light="dark")
     rows += rows_of({1.0: 0.0}, world="docking")
     ranges = ranges_of(rows)
     lines = describe({"ranges": ranges, "dots": {"frames": 8, "false_detections": 2}})
-    assert_as_before([*lines_of(dict(enumerate(ranges)), "range"), *lines], HERE / "ranges.txt")
+    as_before([*lines_of(dict(enumerate(ranges)), "range"), *lines], "ranges.txt")
 
 
 # ---- Figures ----
@@ -166,7 +164,7 @@ def test_the_picture_is_drawn_of_whatever_was_tried():
     assert len(heat_map("marker_panel", rows[:2]).axes) == 1
 
 
-def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_there():
+def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_there(as_before):
     rows = rows_of({0.5: 1.0, 1.0: 1.0, 2.0: 1.0, 3.0: 0.2, 4.0: 0.0})
     picture = np.zeros((480, 640), np.uint8)
     corners = np.array([[[300, 200], [340, 200], [340, 240], [300, 240]]], dtype=float)
@@ -176,13 +174,13 @@ def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_the
     }
     figure = range_figure(rows, pictures)
     assert "from 0.5 m to 2 m" in figure._suptitle.get_text()
-    assert_as_before(lines_of_figure(figure), HERE / "range.txt")
+    as_before(lines_of_figure(figure), "range.txt")
 
 
-def test_a_heat_map_tells_hidden_cells_from_those_where_nothing_is_found():
+def test_a_heat_map_tells_hidden_cells_from_those_where_nothing_is_found(as_before):
     rows = rows_of({1.0: 0.0, 2.0: 0.0, 3.0: 0.955})
     rows[1]["visible"] = False
-    assert_as_before(lines_of_figure(heat_map("docking", rows)), HERE / "heat_map.txt")
+    as_before(lines_of_figure(heat_map("docking", rows)), "heat_map.txt")
 
 
 # ---- The job ----

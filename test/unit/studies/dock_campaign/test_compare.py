@@ -2,10 +2,9 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from scipy import stats
 from shared import cases
 from study_runs import csv_rows
@@ -57,7 +56,7 @@ def test_few_values_leave_the_far_end_open():
     assert quantile([], 0.5) == {"value": None, "low": None, "high": None}
 
 
-def test_figures_of_one_campaign_and_of_pairs_are_as_before():
+def test_figures_of_one_campaign_and_of_pairs_are_as_before(as_before):
     records = [
         record(0, distance_error_m=0.0),
         record(1, "inaccurate", lateral_error_m=0.02),
@@ -71,7 +70,7 @@ def test_figures_of_one_campaign_and_of_pairs_are_as_before():
     paired = paired_figures([docked, docked, lost, late], [faster, lost, docked, late])
     told += lines_of(paired, "pairs")
     told += lines_of(paired_figures([docked] * 6, [late] * 6), "late")
-    assert_as_before(told, Path(__file__).with_name("compared.txt"))
+    as_before(told, "compared.txt")
 
 
 def test_table_picture_and_numbers_are_left(tmp_path):

@@ -1,7 +1,5 @@
-from pathlib import Path
-
 import numpy as np
-from alike import assert_as_before, lines_of_figure
+from alike import lines_of_figure
 
 from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.figures import (
@@ -56,6 +54,6 @@ def figures():
     yield first_turns_figure({ALL: run, Defects(aliasing=True): run}, (1.0, 2.0))
 
 
-def test_figures_are_as_before():
+def test_figures_are_as_before(as_before):
     told = [line for figure in figures() for line in lines_of_figure(figure)]
-    assert_as_before(told, Path(__file__).parent / "figures.txt")
+    as_before(told, "figures.txt")

@@ -1,11 +1,10 @@
 """The benchmark's figures and the fit, against closed forms, on wheels that roll ideally."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from scipy import stats
 from shared import cases
 from study_runs import names_in
@@ -227,7 +226,7 @@ def test_a_robot_on_the_floor_is_calibrated_as_well():
     assert summary["least_fall"] > 10.0
 
 
-def test_results_are_left_behind(tmp_path):
+def test_results_are_left_behind(tmp_path, as_before):
     wrong = errors(0.002, 0.01)
     before = Benchmark.of(2 * ideal_runs(wrong, 1.0))
     after = Benchmark.of(2 * ideal_runs(wrong, 1.0, before.estimate.errors))
@@ -237,7 +236,7 @@ def test_results_are_left_behind(tmp_path):
     told = [*lines_of(summary, "summary"), *sorted(names_in(tmp_path))]
     told += [*describe(before, None), describe(before, after)[-1]]
     told += (tmp_path / "returns.csv").read_text().replace(",", " ").splitlines()[:5]
-    assert_as_before(told, Path(__file__).with_name("results.txt"), within=1e-4)
+    as_before(told, "results.txt", within=1e-4)
 
 
 @cases("""
