@@ -5,6 +5,7 @@ import functools
 import importlib.util
 import logging
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -27,6 +28,14 @@ def module_of(path):
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+def python(code, **options):
+    """Run a program; return its status, what it prints, and its errors."""
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=300, **options
+    )
+    return run.returncode, run.stdout, run.stderr
 
 
 @contextlib.contextmanager

@@ -98,9 +98,9 @@ def _caster(number, x, y, ball):
     )
 
 
-def wheel_mesh(path, radius, width, sides=64):
+def wheel_mesh(path, radius, width):
     """Write a wheel about z as an STL file."""
-    angles = np.arange(sides) * math.tau / sides
+    angles = np.arange(64) * math.tau / 64
     rim = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     low, high = -0.5 * width, 0.5 * width
     triangles = []

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from shared import cases
+from shared import PACKAGE, cases
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.errors import LabError
@@ -17,8 +17,6 @@ from bullet_lab.jobs.declaration import (
     read_assignments,
     read_job,
 )
-
-PACKAGE = Path(__file__).parents[3]
 
 TEXT = """<?xml version="1.0"?>
 <!-- Does one

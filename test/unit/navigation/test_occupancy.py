@@ -5,11 +5,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from map_values import CELLS
 from shared import cases
 
 from bullet_lab.navigation.occupancy import MapError, OccupancyMap, read_map
 
-CELLS = np.array([[0, 100, -1], [0, 0, 100]], dtype=np.int8)
 ORIGIN = (-1.5, 2.25, 0.0)
 
 

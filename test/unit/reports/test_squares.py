@@ -33,10 +33,10 @@ def lines(recording, name):
     return (recording.folder / name).read_text().splitlines()
 
 
-def fill(recording, perfect=20, noisy=15):
-    for index in range(perfect):
+def fill(recording):
+    for index in range(20):
         recording.take("odom", Reading((index + 1) * TICK, POSES[index]))
-        if index < noisy:
+        if index < 15:
             recording.take("noisy_odom", Reading((index + 1) * TICK, POSES[-index - 1]))
 
 

@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from shared import cases
+from shared import PACKAGE, cases
 
 from bullet_lab.errors import LabError
 from bullet_lab.ros import grade
@@ -24,7 +24,7 @@ from bullet_lab.ros.grade import (
     command_of,
 )
 
-HOSTILE = Path(__file__).parents[2] / "submissions" / "hostile"
+HOSTILE = PACKAGE / "test" / "submissions" / "hostile"
 LARGEST_FILE = 100_000
 
 

@@ -50,15 +50,13 @@ def test_a_bag_with_a_repeated_stamp(tmp_path, odometry):
     assert found.remark.endswith("left out, the first in message 2 of /odom")
 
 
-@pytest.mark.parametrize(
-    ("written", "said"),
-    [
-        ({"_type": "my_msgs/Path"}, "is of my_msgs/Path, not nav_msgs/Odometry"),
-        ({"_md5sum": 32 * "0"}, "is of another nav_msgs/Odometry"),
-        # What a bag says of its messages is not believed.
-        ({"_full_text": "int32 x"}, None),
-    ],
-)
+@cases("""
+written, said:
+  - [{_type: my_msgs/Path}, "is of my_msgs/Path, not nav_msgs/Odometry"]
+  - [{_md5sum: "00000000000000000000000000000000"}, is of another nav_msgs/Odometry]
+  # What a bag says of its messages is not believed.
+  - [{_full_text: int32 x}, null]
+""")
 def test_a_bag_with_other_messages(tmp_path, odometry, written, said):
     foreign = type("Foreign", (odometry,), written)
     write_bag(tmp_path / "a.bag", ("/odom", foreign, PATH.stamps, PATH.poses))

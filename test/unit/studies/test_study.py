@@ -5,14 +5,12 @@ import os
 import runpy
 import shlex
 import signal
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Tuple
 
 import pytest
-from shared import cases
+from shared import PACKAGE, cases, python
 from study_runs import names_in, run_main
 
 from bullet_lab.core.files import FileError
@@ -28,7 +26,6 @@ from bullet_lab.studies.study import (
     write_table,
 )
 
-PACKAGE = Path(__file__).parents[3]
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 STUDIES = (
     *("calibrate", "detection_range", "dock_campaign"),
@@ -164,7 +161,7 @@ def test_how_it_fails(error, status, said):
 
 
 def test_ctrl_c_while_python_ends_changes_no_status():
-    assert subprocess.run([sys.executable, "-c", ENDING]).returncode == 2
+    assert python(ENDING)[0] == 2
 
 
 @pytest.mark.parametrize("name", STUDIES)

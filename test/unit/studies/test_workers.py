@@ -13,6 +13,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from study_runs import backwards
 
 from bullet_lab.errors import LabError
 from bullet_lab.studies.study import LIVES, TaskLostError, UnfinishedError, run_tasks, workers
@@ -80,9 +81,6 @@ def test_without_numbers_there_are_no_results():
 
 def test_results_are_in_the_order_of_the_numbers_and_none_may_be_lost():
     about = (print, "cells")
-
-    def backwards(task, numbers):
-        return [(number, task(number)) for number in reversed(numbers)]
 
     assert run_tasks(square, 3, backwards, *about) == [0, 1, 4]
     with pytest.raises(TaskLostError, match="number 0 of cells: gone"):

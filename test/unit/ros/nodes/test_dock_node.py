@@ -88,15 +88,14 @@ def lookup(target, source):
     return Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, math.pi / 2))
 
 
-@pytest.mark.parametrize(
-    "frame, expected",
-    [
-        # That of the database, unless the goal has one.
-        ("''", (4.0, 0.0, 0.1)),
-        ("odom", (3.0, 1.0, -0.2)),
-        ("map", (0.0, 5.0, math.pi / 2 - 0.2)),
-    ],
-)
+@cases("""
+frame, expected:
+  # That of the database, unless the goal has one.
+  - ["''", [4.0, 0.0, 0.1]]
+  - [odom, [3.0, 1.0, -0.2]]
+  # A right angle less 0.2.
+  - [map, [0.0, 5.0, 1.3707963267948966]]
+""")
 def test_the_rough_pose_is_in_the_frame_of_the_odometry(frame, expected):
     assert rough_pose(goal(frame), DOCK, "odom", lookup) == pytest.approx(expected)
 

@@ -1,10 +1,8 @@
-from pathlib import Path
-
 import pytest
 import yaml
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader
-from shared import cases
+from shared import PACKAGE, cases
 
 from bullet_lab.core.parameters import ArgumentsError
 from bullet_lab.errors import LabError
@@ -80,7 +78,7 @@ text:
 """)
 def test_use_sim_time_has_the_type_of_its_value(text):
     """As in gazebo_ros's own launch file: use_sim_time:=0.1 is no mistake there."""
-    launch = Path(__file__).parents[4] / "stand_ins/gazebo_ros/launch/empty_world.launch"
+    launch = PACKAGE / "stand_ins/gazebo_ros/launch/empty_world.launch"
     config, arguments = ROSLaunchConfig(), [f"use_sim_time:={text}", "use_clock_frequency:=1"]
     XmlLoader().load(str(launch), config, argv=arguments, verbose=False)
     assert repr(config.params["/use_sim_time"].value) == repr(yaml.safe_load(text))

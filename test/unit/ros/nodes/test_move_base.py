@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from map_values import CELLS
 from shared import cases
 
 pytest.importorskip("rospy")
@@ -77,8 +78,7 @@ def test_a_value_that_cannot_be_used_is_named_as_move_base_has_it(given, line):
 
 
 def test_a_map_is_the_same_as_a_message():
-    cells = np.array([[0, 100, -1], [0, 0, 100]], dtype=np.int8)
-    made = OccupancyMap(cells, 0.05, (-1.0, 2.0, 0.0))
+    made = OccupancyMap(CELLS, 0.05, (-1.0, 2.0, 0.0))
     message = grid_message(made, OccupancyGrid().header)
     assert list(message.data) == [0, 100, -1, 0, 0, 100]
     found = read_grid(message)

@@ -1,4 +1,3 @@
-import json
 import threading
 from types import SimpleNamespace
 
@@ -6,6 +5,7 @@ import pytest
 import rospy
 from message_fields import message
 from nav_msgs.msg import Odometry
+from study_runs import summary_of
 
 from bullet_lab.core.figures import new_figure
 from bullet_lab.core.files import FileError, PathSeries
@@ -84,8 +84,7 @@ def odometry(number, x=0.0, frame="odom"):
 
 def left(folder):
     """Return the summary that is left, and the rows of the path."""
-    summary = json.loads((folder / "summary.json").read_text())
-    return summary, len((folder / "path.tum").read_text().splitlines())
+    return summary_of(folder), len((folder / "path.tum").read_text().splitlines())
 
 
 def end_at(number):

@@ -11,6 +11,7 @@ from geometry_msgs.msg import Point, PoseStamped
 from message_fields import data_of, message
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import LaserScan
+from shared import cases
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -109,7 +110,13 @@ def test_scan(context):
         display.show(made)
 
 
-@pytest.mark.parametrize("frames", [(), ("odom",) * 4, ("odom", "", "odometry"), ("odom", "base")])
+@cases("""
+frames:
+  - []
+  - [odom, odom, odom, odom]
+  - [odom, "", odometry]
+  - [odom, base]
+""")
 def test_path(frames):
     made = message(Path, "header: {frame_id: odom}")
     for number, frame in enumerate(frames):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from alike import lines_of, lines_of_figure
 from shared import cases
-from study_runs import csv_rows, names_in, summary_of
+from study_runs import backwards, csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
 
 from bullet_lab.simulation.rendering import driver_name
@@ -108,15 +108,15 @@ def test_a_cell_comes_down_to_rates_and_spreads(as_before):
 # ---- Ranges ----
 
 
-def rows_of(rates, bearing=0.0, world="marker_panel", light="default", frames=20):
+def rows_of(rates, bearing=0.0, world="marker_panel", light="default"):
     return [
         {
             "world": world,
             "light": light,
             "distance_m": distance,
             "bearing_deg": bearing,
-            "frames": frames,
-            "found": round(rate * frames),
+            "frames": 20,
+            "found": round(rate * 20),
             "rate": rate,
             "visible": True,
             **{f"{kind}_detections": 0 for kind in ("other", "double", "false")},
@@ -229,9 +229,6 @@ def test_a_world_without_room_has_no_heat_map(tmp_path):
 
 
 def test_the_order_of_the_work_makes_no_difference(results, tmp_path):
-    def backwards(task, numbers):
-        return [(number, task(number)) for number in reversed(numbers)]
-
     run_detection_range(tmp_path, SMALL, backwards)
     assert names_in(results[0]) == names_in(tmp_path)
     for name in names_in(tmp_path):

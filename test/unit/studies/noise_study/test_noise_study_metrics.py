@@ -22,12 +22,12 @@ from bullet_lab.studies.noise_study.statistics import (
 from bullet_lab.studies.paths import resample, tum_text
 
 
-def square(laps=1, rest=10):
+def square(laps=1):
     """Rest, then sides of 2 m and turns on the spot to the right, at 20 Hz and 0.2 m/s."""
     drive, turn = np.zeros((200, 3)), np.zeros((60, 3))
     drive[:, 0] = 0.01
     turn[:, 2] = -math.pi / 2 / 60
-    moves = np.concatenate([np.zeros((rest, 3)), *[drive, turn] * 4 * laps])
+    moves = np.concatenate([np.zeros((10, 3)), *[drive, turn] * 4 * laps])
     poses = se2.compose((1.0, 2.0, 0.5), path_of(moves))
     return Trajectory(7.0 + 0.05 * np.arange(len(poses)), poses)
 

@@ -1,5 +1,6 @@
 import numpy as np
 from alike import lines_of_figure
+from test_published_results import CORNERS
 
 from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.figures import (
@@ -17,7 +18,6 @@ from bullet_lab.studies.published_noise.results import (
     Result,
 )
 
-CORNERS = np.array([(0, 0), (2, 0), (2, -2), (0, -2), (0, 0)], dtype=float)
 FIGURE_1B = PublishedFigure(CORNERS + 0.01, np.arange(5), CORNERS, np.zeros(6))
 EXPLAINS, EXCLUDED, OPEN = PValue(0.5, 0.6), PValue(0.001, 0.002), PValue(0.04, 0.1)
 

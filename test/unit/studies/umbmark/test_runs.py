@@ -7,7 +7,7 @@ import pytest
 from shared import cases
 
 from bullet_lab.core import se2
-from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
+from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive import Square
 from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
@@ -78,15 +78,14 @@ def test_a_perfect_square_comes_back():
         assert square[6][:2] == pytest.approx((2.0, sign * 2.0))
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("direction,x,y,yaw\nleft,0,0,0\n", "line 2: the direction has to be one of cw, ccw"),
-        ("direction,x,y,yaw\ncw,0,nan,0\n", "line 2"),
-        ("", "no bag, no table"),
-        (CSV_HEADER + "\n0,0,0,0,0,0,0\n1,1,0,0,1,0,0\n", "not once round"),
-    ],
-)
+@cases(r"""
+text, said:
+  - ["direction,x,y,yaw\nleft,0,0,0\n", "line 2: the direction has to be one of cw, ccw"]
+  - ["direction,x,y,yaw\ncw,0,nan,0\n", line 2]
+  - ["", "no bag, no table"]
+  - - "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw\n0,0,0,0,0,0,0\n1,1,0,0,1,0,0\n"
+    - not once round
+""")
 def test_what_cannot_be_used_is_refused(text, said, tmp_path):
     (tmp_path / "run.csv").write_text(text)
     with pytest.raises(LabError, match=said):
