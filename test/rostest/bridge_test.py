@@ -5,7 +5,6 @@ import signal
 import sys
 
 import rospy
-import rostest
 from bridge_testing import (
     MILLISECOND,
     ROBOT,
@@ -17,7 +16,7 @@ from bridge_testing import (
     twist,
 )
 from bullet_lab.srv import SetRtf
-from lab_testing import Process, wait_for
+from lab_testing import Process, run_tests, wait_for
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty
@@ -159,9 +158,5 @@ class BridgeTest(BridgeCase):
 SQUIGGLE = [(0.1 + 0.01 * k, 0.5 * (-1) ** k) for k in range(40)]
 
 
-def setUpModule():
-    rospy.init_node("bridge_test")
-
-
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "bridge_test", "__main__")
+    run_tests()

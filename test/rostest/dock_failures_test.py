@@ -5,12 +5,11 @@ import math
 import signal
 
 import rospy
-import rostest
 from actionlib import GoalStatus, SimpleActionClient
 from actionlib_msgs.msg import GoalStatusArray
 from bullet_lab.msg import DockAction, DockGoal, DockResult, UndockAction, UndockGoal
 from geometry_msgs.msg import PoseStamped, Twist
-from lab_testing import Node, NodeTest, Topic, transform, wait_for
+from lab_testing import Node, NodeTest, Topic, run_tests, transform, wait_for
 from standin import DockStandIn
 from tf2_msgs.msg import TFMessage
 
@@ -80,8 +79,8 @@ class DockFailuresTest(NodeTest):
         wait_for(lambda: self.is_over(client) and client.get_result(), "a result")
         return client.get_result()
 
-    def assert_failed(self, code, words, result=None):
-        result = result or self.result()
+    def assert_failed(self, code, words):
+        result = self.result()
         self.assertFalse(result.success)
         self.assertEqual(code, result.error_code, result.message)
         self.assertIn(words, result.message)
@@ -198,5 +197,4 @@ class DockFailuresTest(NodeTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("dock_failures_test")
-    rostest.rosrun("bullet_lab", "dock_failures_test", "__main__")
+    run_tests()

@@ -2,10 +2,8 @@
 """The robot drives to goals in any frame, and stands still whatever goes wrong."""
 
 import math
-import sys
 
 import rospy
-import rostest
 import tf2_ros
 from actionlib import SimpleActionClient
 from actionlib_msgs.msg import GoalID, GoalStatus
@@ -17,6 +15,7 @@ from lab_testing import (
     Topic,
     odometry,
     publisher,
+    run_tests,
     transform,
     wait_for,
 )
@@ -318,5 +317,4 @@ class NoisyOdometryTest(GoalTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("drive_to_goal_test")
-    rostest.rosrun("bullet_lab", "drive_to_goal_test", "__main__", sys.argv)
+    run_tests()

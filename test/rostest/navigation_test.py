@@ -12,14 +12,13 @@ from pathlib import Path
 import rosnode
 import rospkg
 import rospy
-import rostest
 from actionlib import SimpleActionClient
 from actionlib_msgs.msg import GoalStatus
 from bullet_lab.msg import TouchedModels
 from bullet_lab.srv import SetRtf
 from gazebo_msgs.srv import GetModelState
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from lab_testing import PACKAGE, Topic, publisher, wait_for
+from lab_testing import PACKAGE, Topic, publisher, run_tests, wait_for
 from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
@@ -150,4 +149,4 @@ class NavigationTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "navigation_test", NavigationTest)
+    run_tests(node=False)

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rospy
-import rostest
 from bridge_testing import MILLISECOND, BridgeCase, call, spawn, step
 from bullet_lab.srv import SetBias, SetRtf
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-from lab_testing import wait_for
+from lab_testing import run_tests, wait_for
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import (
     CameraInfo,
@@ -239,5 +237,4 @@ class WithoutDriverTest(BridgeCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("sensors_test")
-    rostest.rosrun("bullet_lab", "sensors_test", "__main__")
+    run_tests()
