@@ -56,6 +56,14 @@ def complains(said):
     assert not [line for line in messages if "\n" in line]
 
 
+@contextlib.contextmanager
+def refuses(said, kind=LabError):
+    """Check that an error is raised that says something, in one line."""
+    with pytest.raises(kind, match=said) as caught:
+        yield caught
+    assert "\n" not in str(caught.value)
+
+
 class Table(yaml.SafeLoader):
     """YAML in which a row with the tag !long is one for the long tests."""
 

@@ -24,7 +24,7 @@ from contract_run import (
     places,
     verdict,
 )
-from shared import PACKAGE, cases
+from shared import PACKAGE, cases, refuses
 
 from bullet_lab.simulation.plugins import known_plugins
 
@@ -152,10 +152,10 @@ text, message:
 """)
 def test_an_invalid_contract_is_refused(tmp_path, text, message):
     (tmp_path / "bad.yaml").write_text(text)
-    with pytest.raises(ContractError, match=message):
+    with refuses(message, ContractError):
         read_contract(tmp_path)
 
 
 def test_an_empty_folder_is_no_contract(tmp_path):
-    with pytest.raises(ContractError, match="no contract"):
+    with refuses("no contract", ContractError):
         read_contract(tmp_path)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from alike import lines_of, lines_of_figure
 from recorded_paths import read_paths_csv
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core import se2
 from bullet_lab.core.figures import new_figure, save
@@ -119,7 +119,7 @@ def test_the_same_figure_is_the_same_file(tmp_path):
         save(figure, tmp_path / name)
     first, second = (path.read_bytes() for path in tmp_path.iterdir())
     assert first == second and first.startswith(b"\x89PNG")
-    with pytest.raises(FileError, match="^cannot write "):
+    with refuses("^cannot write ", FileError):
         save(figure, tmp_path / "nix" / "a.png")
 
 

@@ -4,12 +4,10 @@ import json
 import os
 
 import numpy as np
-import pytest
 from alike import lines_of
 from PIL import Image
-from shared import PACKAGE, cases
+from shared import PACKAGE, cases, refuses
 
-from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import find_jobs
 from bullet_lab.ros import verify
 from bullet_lab.ros.verify import (
@@ -71,7 +69,7 @@ def test_json_is_compared_without_keys_of_the_wall_clock(tmp_path):
 
 
 def test_invalid_json_is_refused(tmp_path):
-    with pytest.raises(LabError, match=r"cannot read .*a\.json"):
+    with refuses(r"cannot read .*a\.json"):
         of(tmp_path, "a.json", "{")
 
 
@@ -109,12 +107,12 @@ def test_the_table_shows_what_is_wrong():
 
 def test_references_that_are_none_are_refused(tmp_path):
     (tmp_path / "a.json").write_text("[]")
-    with pytest.raises(LabError, match=r"cannot use .*a\.json"):
+    with refuses(r"cannot use .*a\.json"):
         read_references(tmp_path / "a.json")
 
 
 def test_a_job_that_does_not_repeat_is_refused(tmp_path):
-    with pytest.raises(LabError, match="^there is no job 'grade'"):
+    with refuses("^there is no job 'grade'"):
         verify._run(tmp_path, verify.VerifySettings(jobs=("squares", "grade")), print)
 
 

@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-import pytest
+from shared import refuses
 from study_runs import summary_of
 
 from bullet_lab.studies.detectors import PictureSettings, run_detectors
@@ -50,5 +50,5 @@ def test_results_are_drawn_into_a_picture_without_a_marker(tmp_path):
 
 def test_a_file_that_is_no_picture_is_refused(tmp_path):
     (tmp_path / "text.png").write_text("no picture")
-    with pytest.raises(VisionError, match="it must be a picture, such as PNG or JPEG"):
+    with refuses("it must be a picture, such as PNG or JPEG", VisionError):
         run_detectors(tmp_path / "out", PictureSettings(str(tmp_path / "text.png")))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Tuple
 
 import pytest
-from shared import PACKAGE, cases, python
+from shared import PACKAGE, cases, python, refuses
 from study_runs import names_in, run_main
 
 from bullet_lab.core.files import FileError
@@ -123,7 +123,7 @@ def test_settings_make_the_command_line(words, noise, place):
 
 
 def test_settings_are_checked_in_python_as_well():
-    with pytest.raises(ParameterError, match="paths is 0"):
+    with refuses("paths is 0", ParameterError):
         Noise(paths=0)
 
 
@@ -250,7 +250,7 @@ def test_results_are_put_in_place_when_whole_with_the_summary_last(tmp_path):
 
 def test_results_that_cannot_be_written_leave_the_old_ones(tmp_path):
     (tmp_path / "a").write_text("old")
-    with pytest.raises(FileError, match="^cannot write to "), whole_results(tmp_path) as part:
+    with refuses("^cannot write to ", FileError), whole_results(tmp_path) as part:
         (part / "a").write_text("new")
         (part / "nix" / "b").write_text("b")
     assert (tmp_path / "a").read_text() == "old"

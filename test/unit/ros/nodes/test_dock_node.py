@@ -9,7 +9,7 @@ from geometry_msgs.msg import Quaternion
 from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
@@ -109,7 +109,7 @@ def test_an_unknown_frame_may_be_known_later():
 def test_a_leaning_dock_is_refused_for_good():
     wrong = goal("odom")
     wrong.dock_pose.pose.orientation = Quaternion(0.6, 0.0, 0.0, 0.8)
-    with pytest.raises(DockingFailureError, match="not upright") as caught:
+    with refuses("not upright", DockingFailureError) as caught:
         rough_pose(wrong, DOCK, "odom", lookup)
     assert not isinstance(caught.value, NotYetError)
     assert isinstance(caught.value, LabError)
@@ -130,20 +130,20 @@ action, text, said:
 """)
 def test_invalid_goals_are_refused(action, text, said):
     kind = {"dock": DockGoal, "undock": UndockGoal}[action]
-    with pytest.raises(DockingFailureError, match=said) as caught:
+    with refuses(said, DockingFailureError) as caught:
         check_goal(message(kind, f"{{{text}}}"))
     assert caught.value.error == DockingError.NOT_VALID
 
 
 def test_a_dock_that_the_database_does_not_have():
-    with pytest.raises(ParameterError, match="~dock is 'kitchen': it must be one of"):
+    with refuses("~dock is 'kitchen': it must be one of", ParameterError):
         DockParameters(dock="kitchen").database()
 
 
 def test_docks_that_cannot_be_read(tmp_path):
     path = tmp_path / "docks.yaml"
     path.write_text("docks: {dock: {}}")
-    with pytest.raises(ParameterError, match="^~docks: .*frame"):
+    with refuses("^~docks: .*frame", ParameterError):
         DockParameters(docks=str(path)).database()
 
 

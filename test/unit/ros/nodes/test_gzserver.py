@@ -2,10 +2,9 @@ import pytest
 import yaml
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader
-from shared import PACKAGE, cases
+from shared import PACKAGE, cases, refuses
 
 from bullet_lab.core.parameters import ArgumentsError
-from bullet_lab.errors import LabError
 from bullet_lab.ros.nodes.gzserver import bridge_parameters, find_world, parse_server_arguments
 from bullet_lab.simulation.world.resources import package_share
 
@@ -41,7 +40,7 @@ line, reason:
   --nix: "unrecognized arguments: --nix"
 """)
 def test_refusals(line, reason):
-    with pytest.raises(ArgumentsError, match=reason):
+    with refuses(reason, ArgumentsError):
         parse(line)
 
 
@@ -108,8 +107,8 @@ def test_the_bridge_gets_the_arguments_of_gzserver(ros, logged):
 
 
 def test_parameters_that_are_refused(ros):
-    with pytest.raises(LabError, match="--seed is -3: it must be a whole number from 0"):
+    with refuses("--seed is -3: it must be a whole number from 0"):
         parameters("--seed", "-3")
     ros["/gazebo/pub_clock_frequency"] = "often"
-    with pytest.raises(LabError, match="/gazebo/pub_clock_frequency is 'often': it must be"):
+    with refuses("/gazebo/pub_clock_frequency is 'often': it must be"):
         parameters()

@@ -3,16 +3,14 @@
 import json
 from dataclasses import replace
 
-import pytest
 from alike import lines_of
 from scipy import stats
-from shared import cases
+from shared import cases, refuses
 from study_runs import csv_rows
 from test_dock_campaign import fake_trial
 from test_dock_summary import record
 
 from bullet_lab.core.files import FileError
-from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.compare import (
     compare,
     figures_of,
@@ -98,7 +96,7 @@ def test_other_dockings_are_refused(tmp_path):
         ("more", "one", 5, "lacks 2 of 5"),
         ("more", "broken", 5, "not the log"),
     ):
-        with pytest.raises(LabError, match=said):
+        with refuses(said):
             compare(tmp_path / folder, tmp_path / beside / LOG, dockings)
-    with pytest.raises(FileError, match="cannot read"):
+    with refuses("cannot read", FileError):
         compare(tmp_path / "more", tmp_path / "nowhere", 5)

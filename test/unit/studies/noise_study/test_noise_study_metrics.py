@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error
-from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.systematic import path_of
 from bullet_lab.studies.noise_study.regions import level_rule
@@ -115,7 +114,7 @@ def test_turning_round_and_round_is_no_end_of_laps():
 
 
 def test_a_delta_beyond_the_path():
-    with pytest.raises(LabError, match="no two poses are 100 m apart"):
+    with refuses("no two poses are 100 m apart"):
         pairs_at_distance(square(), 100.0)
 
 

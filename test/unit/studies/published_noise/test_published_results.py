@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from scipy.stats import beta
-from shared import cases
+from shared import cases, refuses
 
-from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import NONE, Defects, combinations
 from bullet_lab.studies.published_noise.results import (
     EVIDENCE,
@@ -148,7 +147,7 @@ def test_a_path_of_many_vertices_has_corners_too():
 
 @pytest.mark.parametrize("vertices", [CORNERS[:4], np.zeros((8, 2))])
 def test_four_vertices_are_no_square(vertices):
-    with pytest.raises(LabError, match="four sides"):
+    with refuses("four sides"):
         find_corners(vertices)
 
 
@@ -176,8 +175,8 @@ text, error:
 """)
 def test_a_bad_figure_file(tmp_path, text, error):
     path = tmp_path / "figure.csv"
-    with pytest.raises(LabError, match="cannot read"):
+    with refuses("cannot read"):
         read_published_figure(path)
     path.write_text(text)
-    with pytest.raises(LabError, match=error):
+    with refuses(error):
         read_published_figure(path)

@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core import se2
 from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive import Square
-from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.paths import tum_text
 from bullet_lab.studies.umbmark.estimate import fit, perfect_square, read_runs
@@ -56,7 +55,7 @@ def test_a_truth_of_another_time_is_refused(shift, share, tmp_path):
     true, reported = recorded(0.5)
     count = int(share * len(true.stamps))
     write_pair(tmp_path, "a", Trajectory(true.stamps[:count] + shift, true.poses[:count]), reported)
-    with pytest.raises(LabError, match="are both of one run and one clock"):
+    with refuses("are both of one run and one clock"):
         read_runs(tmp_path, TOPICS, 1.0, 0.4)
 
 
@@ -88,5 +87,5 @@ text, said:
 """)
 def test_what_cannot_be_used_is_refused(text, said, tmp_path):
     (tmp_path / "run.csv").write_text(text)
-    with pytest.raises(LabError, match=said):
+    with refuses(said):
         read_runs(tmp_path, TOPICS, 1.0, 0.4)
