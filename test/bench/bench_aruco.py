@@ -11,9 +11,9 @@ import time
 import cv2
 import numpy as np
 from common import options, report
+from detectors.scenes import CAMERA
 from std_msgs.msg import Header
 
-from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.simulation.rendering.renderer import Shot
@@ -21,7 +21,6 @@ from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_pose import MarkerObserver
 
-CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 HEIGHT, MARKER_X = 0.44, 4.0
 DISTANCES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 BEARINGS = (0.0, 10.0)

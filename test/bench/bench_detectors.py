@@ -13,7 +13,6 @@ import json
 import math
 import time
 import warnings
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -96,7 +95,7 @@ def compare(plan, journal, count):
         for one in of_crops:
             wrong[one["photograph"]] += one[name]
             sizes[one["photograph"]] += CROPS_AT_ONCE
-        rate = asdict(rate_of(list(wrong.values()), list(sizes.values())))
+        rate = rate_of(list(wrong.values()), list(sizes.values()))._asdict()
         total = {
             "crops": sum(sizes.values()),
             "photographs": len(seen),

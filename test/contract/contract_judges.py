@@ -357,21 +357,8 @@ _TESTS = {
     "below": lambda want, found: found < want,
 }
 
-JUDGES = {
-    "publishes": _publishes,
-    "takes": _takes,
-    "absent": _absent,
-    "offers": _offers,
-    "latched": _latched,
-    "silent": _silent,
-    "parameter": _parameter,
-    "rate": _rate,
-    "fields": _fields,
-    "answers": _answers,
-    "fails": _fails,
-    "change": _change,
-    "spread": _spread,
-    "stamped": _stamped,
-    "tf": _tf,
-    "no_tf": _no_tf,
-}
+_JUDGES = (
+    *(_publishes, _takes, _absent, _offers, _latched, _silent, _parameter, _rate),
+    *(_fields, _answers, _fails, _change, _spread, _stamped, _tf, _no_tf),
+)
+JUDGES = {one.__name__[1:]: one for one in _JUDGES}

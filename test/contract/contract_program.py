@@ -21,7 +21,7 @@ from contract_run import DEVIATES, FAILED, NOT_JUDGED, PASSED, ContractRun
 from contract_simulator import Simulator
 
 from bullet_lab.core import parameters
-from bullet_lab.core.files import replace_file
+from bullet_lab.core.files import write_text
 from bullet_lab.core.parameters import ArgumentParser, ArgumentsError, add_options, read_options
 from bullet_lab.errors import LabError
 from bullet_lab.ros.node.node import STATUS_BAD_PARAMETER, NodeError, run_node
@@ -159,7 +159,7 @@ def write_junit(path, verdicts, seconds):
         if entry.status in KINDS:
             ElementTree.SubElement(case, KINDS[entry.status], message=entry.detail)
     text = ElementTree.tostring(suite, encoding="unicode")
-    replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def deviations_table(contract):

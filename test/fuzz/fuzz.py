@@ -15,7 +15,6 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,8 +32,7 @@ PATIENCE, PATIENCE_EACH = 60.0, 1.0
 ROUND = 10
 
 
-@dataclass(frozen=True)
-class Failure:
+class Failure(NamedTuple):
     """A mutant that has failed, why, and how to see it again."""
 
     way: str
@@ -96,8 +94,7 @@ def _one_worker(batches, seed, folder):
         if line.startswith("!"):
             failures.append(Failure(batches[place].way, seed, number, line[2:].strip()))
         else:
-            way, number = line.split()[0], int(line.split()[1])
-            place = next(at for at, one in enumerate(batches) if at >= place and one.way == way)
+            place, number = map(int, line.split())
     if why:
         failures.append(Failure(batches[place].way, seed, number, why))
     return place, number, failures
@@ -163,7 +160,7 @@ def fuzz(wanted, folder):
         "seed": wanted.seed,
         "mutants": sum(tried.values()),
         "by_way": tried,
-        "failures": [{**asdict(one), "command": one.command} for one in failures],
+        "failures": [{**one._asdict(), "command": one.command} for one in failures],
         "seconds": round(time.monotonic() - start, 1),
     }
 

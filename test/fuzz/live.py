@@ -42,7 +42,8 @@ from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.view.node import KINDS
 from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
 
-# `page` has added its folder to the path.
+# `page` has added their folders to the path.
+from contract_simulator import wait_until  # isort: skip
 from lab_nodes import PACKAGE, Lab, commands, end_all, parser_of  # isort: skip
 
 NODES = commands("""
@@ -170,12 +171,7 @@ class FuzzedLab(Lab):
 
 def soon(condition):
     """Return whether a condition holds before long."""
-    deadline = time.monotonic() + RECOVERY_SECONDS
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.2)
-    return True
+    return wait_until(condition, RECOVERY_SECONDS, 0.2)
 
 
 def inputs():

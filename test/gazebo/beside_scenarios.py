@@ -2,12 +2,25 @@
 
 Two kinds: a `Drive` is a robot that is sent velocity commands, leg by leg; a `Trial` is a function
 that plays something short with boxes, balls and joints (beside_trials.py). Both are played on a
-`Stage`, which is a simulation in this process or a simulator on a ROS master.
+stage: a simulation in this process (beside_direct.py) or a simulator on a ROS master
+(beside_ros.py), with a level floor. Time passes only in `run`, in whole steps of 1 ms. It has
+
+- spawn(text, pose): adds a model of URDF or SDF text, and returns the name that it has got;
+- clear(): removes all that was spawned;
+- state(name): returns the FrameState of a model, pose and velocity in the world;
+- put(name, state): places a model in motion;
+- command(name, vx, vy, wz): sends a robot a velocity command, in m/s and rad/s;
+- push(body, push): lets a force or torque, a `Push`, act on "model::link";
+- exert(name, joint, effort, seconds): lets a torque (N m) act on a joint;
+- joint(name, joint): returns position and rate of a joint, in rad and rad/s;
+- turn_joint(name, joint, position): places a joint, in rad;
+- run(seconds): lets time pass.
 """
 
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import yaml
 
@@ -31,42 +44,7 @@ class Played:
     path: list = field(default_factory=list)
 
 
-class Stage:
-    """A simulator with a level floor. Time passes only in `run`, in whole steps of 1 ms."""
-
-    def spawn(self, text, pose):
-        """Add a model of URDF or SDF text, and return the name that it has got."""
-
-    def clear(self):
-        """Remove all that was spawned."""
-
-    def state(self, name):
-        """Return the FrameState of a model: pose and velocity in the world."""
-
-    def put(self, name, state):
-        """Place a model in motion."""
-
-    def command(self, name, vx, vy, wz):
-        """Send a robot a velocity command, in m/s and rad/s."""
-
-    def push(self, body, push):
-        """Let a force or torque, a `Push`, act on "model::link"."""
-
-    def exert(self, name, joint, effort, seconds):
-        """Let a torque (N m) act on a joint."""
-
-    def joint(self, name, joint):
-        """Return position and rate of a joint, in rad and rad/s."""
-
-    def turn_joint(self, name, joint, position):
-        """Place a joint, in rad."""
-
-    def run(self, seconds):
-        """Let time pass."""
-
-
-@dataclass(frozen=True)
-class Push:
+class Push(NamedTuple):
     """A force (N) at a point (m) and a torque (N m), for some seconds; axes of a frame."""
 
     force: Vector = (0.0, 0.0, 0.0)
@@ -79,8 +57,7 @@ class Push:
 # ---- Drives ----
 
 
-@dataclass(frozen=True)
-class Leg:
+class Leg(NamedTuple):
     """A velocity command (m/s ahead and to the left, rad/s) that holds for some seconds."""
 
     vx: float
@@ -98,8 +75,7 @@ STOP = Leg(0.0, 0.0, 0.0, 1.0)
 SLIDES, ROLLS, SLIPS = "slides", "rolls", "slips"
 
 
-@dataclass(frozen=True)
-class Drive:
+class Drive(NamedTuple):
     """A robot and its legs. `changes` are made in its text; `moves` says in which way it moves.
 
     `height` is that of its frame at rest (m), `heading` in degrees; `turned` lists by how much that

@@ -5,9 +5,9 @@ import json
 import math
 import re
 from collections import Counter
-from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -20,8 +20,7 @@ OK, FAILED, TOLD, UNKNOWN = "ok", "FAIL", "told", "not known"
 """Verdicts: the last two are of figures that have no limit, or that Gazebo's data lacks."""
 
 
-@dataclass(frozen=True)
-class Allowed:
+class Allowed(NamedTuple):
     """How far a figure may be from Gazebo's: a share of it, or an amount if that is more."""
 
     share: float = 0.0
@@ -31,8 +30,7 @@ class Allowed:
         return f"{100 * self.share:g} %" if self.share else f"{self.within:g}"
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A figure of a scenario: in Gazebo and here, and what may lie between.
 
     `apart` is how far they are from each other, in what is allowed: 1 at the limit.
@@ -158,9 +156,7 @@ def text_of(value):
 def as_csv(rows):
     """Return all rows as CSV, with a header."""
     stream = StringIO()
-    writer = csv.DictWriter(stream, list(Row.__dataclass_fields__), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(map(asdict, rows))
+    csv.writer(stream, lineterminator="\n").writerows([Row._fields, *rows])
     return stream.getvalue()
 
 

@@ -10,8 +10,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 PACKAGE = Path(__file__).resolve().parents[2]
 LIBRARY = "src/bullet_lab/"
@@ -19,8 +19,7 @@ LIBRARY = "src/bullet_lab/"
 START_SECONDS, TRACE_SECONDS = 120.0, 5.0
 
 
-@dataclass(frozen=True)
-class Walk:
+class Walk(NamedTuple):
     """A job, the executables that the message passes through, and seconds before the trace."""
 
     job: tuple

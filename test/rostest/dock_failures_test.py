@@ -87,6 +87,11 @@ class DockFailuresTest(NodeTest):
         self.assertNotIn("\n", result.message)
         self.robot.assert_stands()
 
+    def approach(self):
+        """Send a goal, and wait until the robot drives to the dock."""
+        self.send()
+        self.wait_until_approaching()
+
     def wait_until_approaching(self):
         wait_for(lambda: APPROACHING in self.states, "the approach")
         wait_for(lambda: self.commands.messages[-1].linear.x > 0.05, "motion")
@@ -107,20 +112,17 @@ class DockFailuresTest(NodeTest):
     # Failures during the docking
 
     def test_time_set_back(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         self.robot.set_time(rospy.Time(0, 500_000_000))
         self.assert_failed(DockResult.UNKNOWN, "set back")
         # A new goal is pursued as ever, and both actions say how their goals stand.
         for action in ("dock", "undock"):
             self.topic(f"{action}/status", GoalStatusArray).wait(2)
         self.setUp()
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
 
     def test_transforms_from_after_the_end_of_time(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         sender = rospy.Publisher("/tf", TFMessage, queue_size=1)
         self.addCleanup(sender.unregister)
         wait_for(lambda: sender.get_num_connections() >= 1, "the node")
@@ -133,8 +135,7 @@ class DockFailuresTest(NodeTest):
     # Whoever wants it
 
     def test_preempted_it_stops_at_once(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         before = len(self.commands.messages)
         self.dock.cancel_goal()
         self.assert_failed(DockResult.PREEMPTED, "on request")
@@ -144,8 +145,7 @@ class DockFailuresTest(NodeTest):
         self.assertFalse(any(moves[moves.index(False) :]))
 
     def test_the_two_actions_exclude_each_other(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         self.undock.send_goal(UndockGoal(0.2))
         result = self.result()
         self.assertEqual(DockResult.PREEMPTED, result.error_code)
@@ -187,8 +187,7 @@ class DockFailuresTest(NodeTest):
 
     # Last, as the node ends.
     def test_z_whoever_ends_the_node_the_robot_stops(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         self.shared.signal(signal.SIGINT)
         self.assert_ends_well(self.shared)
         wait_for(lambda: not self.commands.messages[-1].linear.x, "the stop")

@@ -101,6 +101,10 @@ class GoalTest(NodeTest):
         self.wait_until_driving()
         return active
 
+    def drive_far(self):
+        """Drive to a goal that is not reached before long."""
+        self.drive_to(goal(FAR, 0.0))
+
     def wait_until_driving(self):
         wait_for(lambda: self.velocity()[0] > 0.1, "the robot to drive")
 
@@ -199,7 +203,7 @@ class DriveToGoalTest(GoalTest):
         self.assert_at(0.6, 0.0, 0.0)
 
     def test_what_cannot_be_driven_to_is_refused_and_the_old_goal_goes_on(self):
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         bad = {
             "no frame_id": goal(1.0, 0.0, frame=""),
             "no transform from 'mars' to 'odom'": goal(1.0, 0.0, frame="mars"),
@@ -216,7 +220,7 @@ class DriveToGoalTest(GoalTest):
         self.assertNotIn("Traceback", self.driver.err)
 
     def test_cancelling(self):
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         # Not about this goal.
         self.drive.cancels.publish(GoalID(id="another"))
         self.robot.wait(0.5)
@@ -253,7 +257,7 @@ class DriveToGoalTest(GoalTest):
         self.assert_ends(client, GoalStatus.ABORTED, why)
         self.assertIn(why, self.wait_for_status(GoalStatus.REJECTED).text)
         # The robot stands still as well if it was on its way to another goal.
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         client.send_goal(MoveBaseGoal(goal(1.0, 0.0, frame="mars")))
         wait_for(lambda: self.velocity() == (0.0, 0.0), "a stop")
         client.cancel_goal()
@@ -263,7 +267,7 @@ class DriveToGoalTest(GoalTest):
 
     def test_the_goal_that_comes_last_counts_whatever_its_stamp(self):
         goals = self.publisher("move_base/goal", MoveBaseActionGoal)
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         late = MoveBaseActionGoal(goal=MoveBaseGoal(goal(0.2, 0.0)))
         late.goal_id.id, late.goal_id.stamp = "late", rospy.Time(1)
         goals.publish(late)
@@ -279,7 +283,7 @@ class DriveToGoalTest(GoalTest):
         self.assert_at(1.0, 0.0)
 
     def test_bad_odometry_is_refused_and_the_end_of_the_goal(self):
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         self.robot.says = lambda seconds, *_: odometry(seconds, math.nan)
         lost = self.wait_for_status(GoalStatus.ABORTED)
         self.assertEqual("no odometry on odom for 20 s", lost.text)
@@ -288,7 +292,7 @@ class DriveToGoalTest(GoalTest):
 
     # Last, as the node ends.
     def test_z_ctrl_c_stops_the_robot(self):
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         self.driver.signal()
         self.assert_ends_well(self.driver)
         self.robot.assert_stands()

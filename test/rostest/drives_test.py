@@ -72,7 +72,7 @@ class DrivesTest(NodeTest):
         def is_zero():
             # Again, as the wheels may still slip when the first one comes.
             zero.publish()
-            return abs(odometry.messages[-1].pose.pose.position.x) < 0.01
+            return abs(odometry.position().x) < 0.01
 
         wait_for(is_zero, "the odometry")
 
@@ -81,7 +81,7 @@ class DrivesTest(NodeTest):
         begun = place_of("car")[0]
 
         def drives():
-            return odometry.wait(1)[-1].pose.pose.position.x > 0.3
+            return odometry.wait(1) and odometry.position().x > 0.3
 
         self.drive(twist(1.0), drives, "the car to drive", "drive/cmd_vel")
         speeds = [message.twist.twist.linear.x for message in odometry.messages]

@@ -255,6 +255,10 @@ class Topic:
         """The stamps of the messages so far, in ns."""
         return [message.header.stamp.to_nsec() for message in self.messages]
 
+    def position(self):
+        """The place that the last message tells, one of odometry or of a pose with covariance."""
+        return self.messages[-1].pose.pose.position
+
     def wait(self, number):
         """Wait until so many messages have come and return them all."""
         wait_for(

@@ -56,8 +56,8 @@ class RobotsTest(NodeTest):
         left, right = self.topic("left/odom", Odometry), self.topic("right/odom", Odometry)
         starts = [topic.wait(1)[-1].pose.pose.position for topic in (left, right)]
         self.drive("left", -0.5)
-        wait_for(lambda: left.messages[-1].pose.pose.position.x < starts[0].x - 0.2, "left to move")
-        moved = right.messages[-1].pose.pose.position
+        wait_for(lambda: left.position().x < starts[0].x - 0.2, "left to move")
+        moved = right.position()
         self.assertAlmostEqual(starts[1].x, moved.x, delta=0.002)
 
     def test_each_says_what_it_touches(self):

@@ -45,7 +45,7 @@ class ViewStopsTest(NodeTest):
         return any(c.get("label") == "Robot" and c.get("value") == "/cmd_vel" for c in controls)
 
     def place(self):
-        position = self.odom.messages[-1].pose.pose.position
+        position = self.odom.position()
         return position.x, position.y
 
     def speed(self):

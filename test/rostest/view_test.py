@@ -63,7 +63,7 @@ class ViewTest(NodeTest):
         wait_for(lambda: self.commands.messages[-1] == Twist(), "the robot to be stopped")
         wait_for(self.is_still, "the robot to stand")
         self.odom.wait(len(self.odom.messages) + 10)
-        place = self.odom.messages[-1].pose.pose.position
+        place = self.odom.position()
         # The page shows the newest pose when all is still.
         wait_for(lambda: self.is_seen_at(place), lambda: f"{self.see('/robots/0')} at {place}")
 

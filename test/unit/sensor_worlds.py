@@ -15,9 +15,9 @@ from bullet_lab.simulation.world.urdf import read_urdf
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 
 
-def empty(seed=0, gravity=(0.0, 0.0, 0.0)):
+def empty(seed=0):
     """A world of nothing; things float in it."""
-    return Simulation(World("empty", gravity=gravity), seed)
+    return Simulation(World("empty", gravity=(0.0, 0.0, 0.0)), seed)
 
 
 def held(seed=0):
@@ -36,11 +36,11 @@ def carrier(gazebo="", collision="", links="", name="carrier"):
     )
 
 
-def sensor(kind, inner, plugin, tags="", link="base", name="the_sensor"):
+def sensor(kind, inner, plugin, tags="", link="base"):
     """A <gazebo> element with a sensor in it."""
     return (
-        f'<gazebo reference="{link}"><sensor type="{kind}" name="{name}">{inner}'
-        f'<plugin name="{name}_plugin" filename="{plugin}">{tags}</plugin></sensor></gazebo>'
+        f'<gazebo reference="{link}"><sensor type="{kind}" name="the_sensor">{inner}'
+        f'<plugin name="the_sensor_plugin" filename="{plugin}">{tags}</plugin></sensor></gazebo>'
     )
 
 

@@ -20,9 +20,9 @@ EMPTY_WORLD = "package://bullet_lab/worlds/empty.world"
 
 
 def module_of(path):
-    """Import a file below test/ that is no part of the package, such as "soak/slope.py"."""
+    """Import a file that is no part of the package, by its path from test/."""
     file = PACKAGE / "test" / path
-    spec = importlib.util.spec_from_file_location(f"test_{file.stem}", file)
+    spec = importlib.util.spec_from_file_location(f"file_{file.stem}", file)
     module = importlib.util.module_from_spec(spec)
     # Where its dataclasses look for it.
     sys.modules[spec.name] = module

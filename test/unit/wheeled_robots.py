@@ -158,9 +158,9 @@ def _moved(poses):
     return x, y, math.degrees(sum(turns))
 
 
-def straight(model, speed, metres=1.0, **more):
-    """Drive a way at a speed (m/s)."""
-    return drive(model, PlanarCommand(vx=speed), metres / abs(speed), **more)
+def straight(model, speed, **more):
+    """Drive a metre at a speed (m/s)."""
+    return drive(model, PlanarCommand(vx=speed), 1.0 / abs(speed), **more)
 
 
 def turn(model, speed, degrees=360.0, **more):

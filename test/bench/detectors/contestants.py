@@ -1,7 +1,6 @@
 """Detectors behind one call, each with a small grid of settings."""
 
-from dataclasses import dataclass
-from typing import Callable
+from typing import Callable, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,8 +14,7 @@ except ImportError:
     locus = None
 
 
-@dataclass(frozen=True)
-class Contestant:
+class Contestant(NamedTuple):
     """A detector of 36h11, and the settings of which the best are taken.
 
     `make` takes settings, and returns what finds markers in an image (h, w) of grey levels:

@@ -3,9 +3,9 @@
 import hashlib
 import math
 import time
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -117,8 +117,7 @@ def consistency(settings, scenes):
     }
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """All that is measured: `cells()`, then crops of the photographs in turn.
 
     Attributes:

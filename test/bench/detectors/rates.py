@@ -1,6 +1,6 @@
 """Bounds of a rate of false detections, where crops of one photograph belong together."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,8 +10,7 @@ CONFIDENCE = 0.95
 _DRAWS = 4000
 
 
-@dataclass(frozen=True)
-class Rate:
+class Rate(NamedTuple):
     """A rate for each crop, and its bounds at 95 %.
 
     Attributes:

@@ -1,7 +1,7 @@
 """Renderings of a marker on photographs, of which everything is known."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,8 +21,7 @@ _MOST_SAMPLES, _MOST_POINTS = 16, 1.5e6
 _UNIT = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 
 
-@dataclass(frozen=True)
-class Conditions:
+class Conditions(NamedTuple):
     """How a marker is seen.
 
     Attributes:
@@ -46,8 +45,7 @@ class Conditions:
     glare: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(NamedTuple):
     """A picture of one marker.
 
     Attributes:
