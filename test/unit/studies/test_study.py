@@ -88,14 +88,6 @@ def results_elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.fixture(autouse=True)
-def signals():
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
 @pytest.mark.parametrize("first", SIGNALS)
 def test_the_second_signal_does_not_interrupt_what_the_first_one_has_begun(first):
     interrupt_once()

@@ -68,14 +68,6 @@ def interrupting(folder, number):
     endless(folder, number)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def ctrl_c():
-    # Whoever runs the tests may have told this process to pass over it.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def test_without_numbers_there_are_no_results():
     assert list(workers(2)(square, [])) == []
 
@@ -140,10 +132,9 @@ def test_what_the_input_causes_is_said_as_it_is():
 
 KILLED = """
 import functools, sys
-sys.path.insert(0, sys.argv[1])
 from test_workers import endless, workers
 if __name__ == "__main__":
-    list(workers(2)(functools.partial(endless, sys.argv[2]), range(4)))
+    list(workers(2)(functools.partial(endless, sys.argv[1]), range(4)))
 """
 
 
@@ -154,8 +145,8 @@ def test_killed_it_leaves_no_worker_and_no_file(tmp_path):
     temporary.mkdir()
     script.write_text(KILLED)
     master = subprocess.Popen(
-        [sys.executable, str(script), os.path.dirname(__file__), str(started)],
-        env=dict(os.environ, TMPDIR=str(temporary)),
+        [sys.executable, str(script), str(started)],
+        env=dict(os.environ, TMPDIR=str(temporary), PYTHONPATH=os.pathsep.join(sys.path)),
     )
     while len(list(started.iterdir())) < 2:
         assert master.poll() is None
