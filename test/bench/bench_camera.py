@@ -194,11 +194,6 @@ def frame_times(frames):
     return rows
 
 
-def stamps(topic):
-    """Return the simulated times of a topic's messages, in ms."""
-    return [stamp // 1_000_000 for stamp in topic.stamps()]
-
-
 def real_time(seconds):
     """Measure how the camera does at real-time factor 1 with `aruco.py` listening."""
     bridge = Node("pybullet_bridge", f"_world:={WORLD}", f"_robot:={ROBOT}", "_rtf:=1")
@@ -208,19 +203,19 @@ def real_time(seconds):
     try:
         seen.wait(31)
         loads = ThreadPoolExecutor(2)
-        first, start_time = stamps(sent)[-1], time.monotonic()
+        first, start_time = sent.stamps()[-1], time.monotonic()
         of_bridge, of_aruco = loads.map(lambda node: node.percent(seconds), (bridge, aruco))
-        last, passed = stamps(sent)[-1], time.monotonic() - start_time
+        last, passed = sent.stamps()[-1], time.monotonic() - start_time
         # The last one may still be looked at.
-        wait_for(lambda: stamps(seen)[-1] >= last, "the last frame")
+        wait_for(lambda: seen.stamps()[-1] >= last, "the last frame")
     finally:
         end_all(aruco, bridge)
     expected = {-(-1000 * k // 30) for k in range(1, 10**6) if first < 1000 * k / 30 <= last}
     every = f"{len(expected)}"
     return [
         ("30 Hz, aruco.py: real-time factor", (last - first) / 1000.0 / passed, ".3f", ">= 0.99"),
-        ("frames sent", len(expected & set(stamps(sent))), "d", every),
-        ("frames processed by aruco.py", len(expected & set(stamps(seen))), "d", every),
+        ("frames sent", len(expected & set(sent.stamps())), "d", every),
+        ("frames processed by aruco.py", len(expected & set(seen.stamps())), "d", every),
         ("bridge, % of a core", of_bridge, ".0f", "<= 30"),
         ("aruco.py, % of a core", of_aruco, ".0f", ""),
     ]

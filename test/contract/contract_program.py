@@ -158,7 +158,7 @@ def write_junit(path, verdicts, seconds):
         case = ElementTree.SubElement(suite, "testcase", source)
         if entry.status in KINDS:
             ElementTree.SubElement(case, KINDS[entry.status], message=entry.detail)
-    text = ElementTree.tostring(suite, encoding="unicode")
+    text = ElementTree.tostring(suite).decode()
     write_text(path, text)
 
 

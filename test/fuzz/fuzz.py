@@ -7,7 +7,6 @@ first mutant. --each N: mutants of a way's share before the next one.
 """
 
 import itertools
-import json
 import math
 import os
 import subprocess
@@ -21,6 +20,8 @@ from typing import NamedTuple
 from mutations import generator, mutant
 from tqdm import tqdm
 from ways import WAYS
+
+from bullet_lab.core.files import write_json
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
@@ -184,7 +185,7 @@ def main():
         wanted.mutants = 1000
     wanted.out.mkdir(parents=True, exist_ok=True)
     summary = fuzz(wanted, wanted.out.absolute())
-    (wanted.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    write_json(wanted.out / "summary.json", summary)
     failures = len(summary["failures"])
     print(f"{summary['mutants']} mutants, {failures} failures; see {wanted.out}")
     sys.exit(1 if failures else 0)

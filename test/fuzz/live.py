@@ -7,7 +7,6 @@ view drove stands.
 """
 
 import contextlib
-import json
 import math
 import re
 import sys
@@ -38,6 +37,7 @@ from tqdm import tqdm
 from view_looker import wait_for_url
 from ways import WAYS
 
+from bullet_lab.core.files import write_json
 from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.view.node import KINDS
 from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
@@ -353,7 +353,7 @@ def main():
     rospy.set_param("/use_sim_time", True)
     with tempfile.TemporaryDirectory(dir=wanted.out) as folder:
         summary = fuzz(wanted, Path(folder).absolute())
-    (wanted.out / "live.json").write_text(json.dumps(summary, indent=2) + "\n")
+    write_json(wanted.out / "live.json", summary)
     for failure in summary["failures"]:
         print(failure)
     print(f"{summary['messages']} messages, {summary['calls']} calls, "

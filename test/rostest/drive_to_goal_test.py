@@ -4,7 +4,6 @@
 import math
 
 import rospy
-import tf2_ros
 from actionlib import SimpleActionClient
 from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import PoseStamped, Twist
@@ -193,11 +192,8 @@ class DriveToGoalTest(GoalTest):
         )
 
     def test_goals_in_other_frames(self):
-        broadcaster = tf2_ros.StaticTransformBroadcaster()
-        self.addCleanup(broadcaster.pub_tf.unregister)
         # The odometry's origin is at (2, 1) on the map, turned by 90 degrees.
-        broadcaster.sendTransform(transform("map", "odom", (2.0, 1.0, 0.0), QUARTER_TURN))
-        wait_for(lambda: broadcaster.pub_tf.get_num_connections(), "the node to listen")
+        self.broadcast(transform("map", "odom", (2.0, 1.0, 0.0), QUARTER_TURN))
         self.goals.publish(goal(2.0, 1.6, math.pi / 2, "/map"))
         self.wait_for_status(GoalStatus.SUCCEEDED)
         self.assert_at(0.6, 0.0, 0.0)

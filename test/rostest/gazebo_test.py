@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import rosgraph
 import rospy
-import tf2_ros
 from bridge_testing import (
     ROBOT,
     BridgeCase,
@@ -259,9 +258,7 @@ class WorldTest(GazeboCase):
         self.assertEqual("beacon_4", self.place(-2.0, 3.0))
         call("/gazebo/delete_model", DeleteModel, "beacon_3")
         # In another frame, with the first free name.
-        broadcaster = tf2_ros.StaticTransformBroadcaster()
-        self.addCleanup(broadcaster.pub_tf.unregister)
-        broadcaster.sendTransform(transform("world", "map", (1.0, 0.0, 0.0), QUARTER_TURN))
+        self.broadcast(transform("world", "map", (1.0, 0.0, 0.0), QUARTER_TURN))
         self.assertEqual("beacon_3", self.place(3.0, 0.5, "map"))
         self.assert_near((0.5, 3.0, 0.0), place_of("beacon_3"))
         self.assert_near((-2.0, 3.0, 0.0), place_of("beacon_4"))

@@ -20,6 +20,7 @@ import rosgraph
 import rospkg
 import rospy
 import rostest
+import tf2_ros
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 
@@ -252,8 +253,8 @@ class Topic:
         return self._subscriber.get_num_connections() > 0
 
     def stamps(self):
-        """The stamps of the messages so far, in ns."""
-        return [message.header.stamp.to_nsec() for message in self.messages]
+        """The stamps of the messages so far, in ms."""
+        return [message.header.stamp.to_nsec() // 1_000_000 for message in self.messages]
 
     def position(self):
         """The place that the last message tells, one of odometry or of a pose with covariance."""
@@ -308,6 +309,13 @@ class NodeTest(unittest.TestCase):
         made = publisher(name, kind, **options)
         self.addCleanup(made.unregister)
         return made
+
+    def broadcast(self, message):
+        """Send a static transform to whoever listens, one at least, for the time of this test."""
+        sender = tf2_ros.StaticTransformBroadcaster()
+        self.addCleanup(sender.pub_tf.unregister)
+        sender.sendTransform(message)
+        wait_for(sender.pub_tf.get_num_connections, "somebody to listen to transforms")
 
     def assert_ends_well(self, *nodes):
         """Assert that nodes end with status 0 and no traceback."""

@@ -51,13 +51,17 @@ def judged(pose, *markers, others=()):
     return judge(list(markers), pose, (WANTED, *others), CAMERA)
 
 
+def counts(frame):
+    return frame.found, frame.others, frame.doubles, frame.false
+
+
 # ---- Judging ----
 
 
 def test_a_perfect_find_has_no_errors():
     pose = camera_pose(1.0, math.radians(20.0), 0.03)
     frame = judged(pose, seen(WANTED, pose))
-    assert (frame.found, frame.others, frame.doubles, frame.false) == (True, 0, 0, 0)
+    assert counts(frame) == (True, 0, 0, 0)
     assert abs(frame.distance_error) < 1e-4 and frame.lateral_error < 1e-4
     assert frame.rotation_error < 1e-3 and not frame.flipped
 
@@ -76,9 +80,9 @@ def test_detections_are_assigned_by_their_position():
     other, elsewhere = (PrintedMarker(*one) for one in ((0.35, LEFT), (0.2, RIGHT)))
     found = [seen(marker, pose) for marker in (other, WANTED, WANTED, elsewhere)]
     frame = judged(pose, *found, others=(other,))
-    assert (frame.found, frame.others, frame.doubles, frame.false) == (True, 1, 1, 1)
+    assert counts(frame) == (True, 1, 1, 1)
     frame = judged(pose, found[0], others=(other,))
-    assert (frame.found, frame.others, frame.false) == (False, 1, 0)
+    assert counts(frame) == (False, 1, 0, 0)
     assert math.isnan(frame.distance_error)
 
 
@@ -90,7 +94,7 @@ def test_detections_are_assigned_by_their_position():
 def test_another_id_or_corners_that_are_off_are_false(off):
     pose = camera_pose(1.0, 0.0)
     frame = judged(pose, seen(WANTED, pose, **off))
-    assert (frame.found, frame.false) == (False, 1)
+    assert counts(frame) == (False, 0, 0, 1)
 
 
 def test_a_cell_comes_down_to_rates_and_spreads(as_before):
