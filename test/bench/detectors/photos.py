@@ -75,4 +75,4 @@ def _off(by, name):
 
 
 def _median(values):
-    return float(np.median(values)) if len(values) else float("nan")
+    return float(np.median(values)) if len(values) else None
