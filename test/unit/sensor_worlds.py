@@ -15,9 +15,9 @@ from bullet_lab.simulation.world.urdf import read_urdf
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 
 
-def empty(seed=0):
+def empty(seed=0, gravity=(0.0, 0.0, 0.0)):
     """A world of nothing; things float in it."""
-    return Simulation(World("empty", gravity=(0.0, 0.0, 0.0)), seed)
+    return Simulation(World("empty", gravity=gravity), seed)
 
 
 def held(seed=0):
