@@ -66,7 +66,7 @@ debian_packages() {
         libtf2-ros-dev libdynamic-reconfigure-config-init-mutex-dev python3-setuptools
       ;;
     rviz) echo rviz xvfb ;;
-    test) echo shellcheck python3-rostest iproute2 libxml2-utils xvfb "$(if_known sdformat-sdf)" ;;
+    test) echo shellcheck python3-rostest libxml2-utils xvfb "$(if_known sdformat-sdf)" ;;
     # Scripts of courses import these; Debian's OpenCV has windows and the old marker functions.
     course)
       echo python3-opencv python3-tf python3-tf-conversions python3-tf2-geometry-msgs \
@@ -102,7 +102,7 @@ noetic_packages() {
       ;;
     test)
       names=(rostest)
-      echo shellcheck iproute2 sdformat-sdf libxml2-utils xvfb
+      echo shellcheck sdformat-sdf libxml2-utils xvfb
       ;;
     course)
       names=(cv-bridge tf tf-conversions tf2-geometry-msgs image-geometry)

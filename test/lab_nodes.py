@@ -1,7 +1,5 @@
 """Nodes of the package as processes, for the programs that measure and disturb them."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os
@@ -10,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, Mapping, Optional, Sequence
 
 import psutil
 import rospy
@@ -20,7 +17,7 @@ PACKAGE = Path(__file__).resolve().parents[1]
 START_SECONDS, STOP_SECONDS = 120.0, 20.0
 
 
-def parser_of(prog: str, doc: Optional[str], **defaults: Any) -> argparse.ArgumentParser:
+def parser_of(prog, doc, **defaults):
     """Return a parser of options with defaults, which have the types of these."""
     shape = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog=prog, description=doc, formatter_class=shape)
@@ -45,7 +42,7 @@ class Node:
         usage: what that takes of the machine.
     """
 
-    def __init__(self, name: str, *words: str, log: Optional[Path] = None):
+    def __init__(self, name, *words, log=None):
         self._log = log
         script = PACKAGE / "scripts" / f"{name}.py"
         with open(log or os.devnull, "a") as out:
@@ -59,30 +56,30 @@ class Node:
             )
         self.usage = psutil.Process(self.process.pid)
 
-    def output(self) -> str:
+    def output(self):
         """Return what it has printed."""
         return self._log.read_text(errors="replace")
 
-    def tracebacks(self) -> list[str]:
+    def tracebacks(self):
         """Return the tracebacks that it has printed, each in a line."""
         parts = self.output().split("Traceback")[1:]
         return [" ".join(part.split("\n[")[0].split())[-2500:] for part in parts]
 
-    def megabytes(self) -> float:
+    def megabytes(self):
         """Return its resident memory."""
         return self.usage.memory_info().rss / 1e6
 
-    def percent(self, seconds: float) -> float:
+    def percent(self, seconds):
         """Return the processor time that it uses for so long, in percent of a core."""
         before, start = self._used(), time.monotonic()
         time.sleep(seconds)
         return 100.0 * (self._used() - before) / (time.monotonic() - start)
 
-    def _used(self) -> float:
+    def _used(self):
         return sum(self.usage.cpu_times()[:2])
 
 
-def commands(text: str) -> dict[str, list[str]]:
+def commands(text):
     """Return the words of nodes by their names, of a text with a line for each."""
     return {name: words for name, *words in map(shlex.split, text.strip().splitlines())}
 
@@ -95,21 +92,21 @@ class Lab:
         nodes: parameters and remappings by name.
     """
 
-    def __init__(self, folder: Path, nodes: Mapping[str, Sequence[str]]):
+    def __init__(self, folder, nodes):
         self.nodes = {n: Node(n, *words, log=folder / f"{n}.log") for n, words in nodes.items()}
         rospy.wait_for_service("/bullet_lab/advance", START_SECONDS)
 
-    def dead(self) -> list[str]:
+    def dead(self):
         """Return the nodes that have ended."""
         return [name for name, node in self.nodes.items() if node.process.poll() is not None]
 
-    def tracebacks(self) -> list[str]:
+    def tracebacks(self):
         """Return the tracebacks that nodes have printed."""
         found = {name: node.tracebacks() for name, node in self.nodes.items()}
         return [f"{name}: {text}" for name, texts in found.items() for text in texts]
 
 
-def end_all(*nodes: Node) -> None:
+def end_all(*nodes):
     """End nodes and wait for them."""
     for node in nodes:
         node.process.terminate()

@@ -5,18 +5,15 @@ covariances. Beside it OpenCV's own detector with its defaults and sub-pixel cor
 --rounds N: looks at each image.
 """
 
-from __future__ import annotations
-
 import math
 import time
-from typing import Any, Callable, Dict, List, Sequence, Tuple
 
 import cv2
 import numpy as np
-from common import Row, options, report
+from common import options, report
+from detectors.scenes import CAMERA
 from std_msgs.msg import Header
 
-from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.images import image_message, pixels_of
 from bullet_lab.simulation.rendering.renderer import Shot
@@ -24,16 +21,14 @@ from bullet_lab.simulation.simulation import Simulation
 from bullet_lab.vision.marker_detector import DetectorSettings
 from bullet_lab.vision.marker_pose import MarkerObserver
 
-CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 HEIGHT, MARKER_X = 0.44, 4.0
 DISTANCES = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 BEARINGS = (0.0, 10.0)
 # Frames without a marker are looked at twice: the worst case.
 WORLDS = ("docking", "docking_nested")
-Work = Callable[[Any], Any]
 
 
-def frames(world: str, poses: Sequence[Tuple[float, float, float]]) -> List[np.ndarray]:
+def frames(world, poses):
     """Return what the camera sees from (x, y, yaw) in a world, rgb8."""
     with Simulation.of(f"package://bullet_lab/worlds/{world}.world") as simulation:
         renderer = simulation.renderer()
@@ -44,7 +39,7 @@ def frames(world: str, poses: Sequence[Tuple[float, float, float]]) -> List[np.n
         ]
 
 
-def milliseconds(work: Work, pictures: List[np.ndarray], rounds: int) -> float:
+def milliseconds(work, pictures, rounds):
     """Return the time that a message took, the median of all rounds but the first."""
     messages = [image_message(Header(), picture, "rgb8") for picture in pictures]
     times = []
@@ -57,7 +52,7 @@ def milliseconds(work: Work, pictures: List[np.ndarray], rounds: int) -> float:
     return 1e3 * float(np.median(times[len(messages) :]))
 
 
-def plain_opencv() -> Work:
+def plain_opencv():
     """Return what one would write with OpenCV alone."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
@@ -66,7 +61,7 @@ def plain_opencv() -> Work:
     return lambda message: detector.detectMarkers(pixels_of(message, "mono8"))
 
 
-def pictures_by_kind() -> Dict[str, List[np.ndarray]]:
+def pictures_by_kind():
     """Return what is looked at: the marker before the dock, one within another, and none."""
     places = [(d, math.radians(bearing)) for d in DISTANCES for bearing in BEARINGS]
     poses = [(MARKER_X - d * math.cos(b), d * math.sin(b), -b) for d, b in places]
@@ -76,12 +71,12 @@ def pictures_by_kind() -> Dict[str, List[np.ndarray]]:
     return kinds
 
 
-def main() -> None:
+def main():
     """Measure, print and write."""
     wanted = options(__doc__, rounds=10)
     cv2.setNumThreads(1)
     observer = MarkerObserver(DetectorSettings())
-    rows: List[Row] = []
+    rows = []
     shares = {}
     for kind, pictures in pictures_by_kind().items():
         ours = milliseconds(lambda m: observer.observe(pixels_of(m, "mono8"), CAMERA), pictures,

@@ -4,14 +4,11 @@ The bridge runs in a process of its own, with one subscriber to each of its topi
 --rounds N: of which the median is taken. --seconds S: wall time of each bridge.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import statistics
 import threading
 import time
-from typing import Iterator, List
 
 import rospy
 from common import options, report, start_ros
@@ -23,7 +20,6 @@ from tf2_msgs.msg import TFMessage
 
 from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
 from bullet_lab.simulation.physics import pybullet
-from bullet_lab.simulation.plugins.samples import PlanarCommand
 from bullet_lab.simulation.simulation import Simulation
 
 WORLD = "package://bullet_lab/worlds/empty.world"
@@ -34,7 +30,7 @@ COMMANDS = 50
 
 
 @contextlib.contextmanager
-def running(rtf: float) -> Iterator[Node]:
+def running(rtf):
     """Run a bridge whose robot drives in circles, and a subscriber to each of its topics."""
     bridge = Node("pybullet_bridge", f"_world:={WORLD}", f"_robot:={ROBOT}", f"_rtf:={rtf}")
     topics = (("/odom", Odometry), ("/tf", TFMessage), ("/clock", Clock))
@@ -52,12 +48,12 @@ def running(rtf: float) -> Iterator[Node]:
         end_all(bridge)
 
 
-def newest_stamp() -> float:
+def newest_stamp():
     """Return the simulated time of the next odometry, in s."""
     return rospy.wait_for_message("/odom", Odometry, 10.0).header.stamp.to_sec()
 
 
-def bare_factor() -> float:
+def bare_factor():
     """Return the real-time factor of the engine and nothing else, as one would write it by hand.
 
     The same world and robot, the same velocity in the robot's frame before each step.
@@ -75,7 +71,7 @@ def bare_factor() -> float:
         return BARE_STEPS * 1e-3 / (time.perf_counter() - start)
 
 
-def bridge_factor(seconds: float) -> float:
+def bridge_factor(seconds):
     """Return the real-time factor of the bridge over some wall seconds at full speed."""
     with running(rtf=0.0):
         before, start = newest_stamp(), time.monotonic()
@@ -84,7 +80,7 @@ def bridge_factor(seconds: float) -> float:
     return (after - before) / (end - start)
 
 
-def command_delays() -> List[int]:
+def command_delays():
     """Return, for commands at odd moments, the steps from arrival to the first moved pose.
 
     Arrival is when the bridge's subscriber hands the command on; the bridge runs in real time
@@ -94,21 +90,21 @@ def command_delays() -> List[int]:
     simulation = bridge.simulation
     robot = simulation.models["block_robot"]
     device = next(d for d in robot.plugins if d.inputs)
-    arrivals: List[int] = []
-    moved: List[int] = []
+    arrivals = []
+    moved = []
 
     # What the subscriber calls, and each step's pose, both noted without changing anything.
     entry = device.inputs[0]
     handle = entry.handle
 
-    def note_arrival(command: PlanarCommand) -> None:
+    def note_arrival(command):
         arrivals.append(simulation.step)
         handle(command)
 
     object.__setattr__(entry, "handle", note_arrival)
     last = [robot.pose().position]
 
-    def note_pose(step: int) -> None:
+    def note_pose(step):
         now = robot.pose().position
         if math.dist(now[:2], last[0][:2]) > 1e-6 and len(moved) < len(arrivals):
             moved.append(step)
@@ -117,7 +113,7 @@ def command_delays() -> List[int]:
     simulation.every(1000.0, note_pose)
     publisher = rospy.Publisher("cmd_vel", Twist, queue_size=1, tcp_nodelay=True)
 
-    def send_commands() -> None:
+    def send_commands():
         while publisher.get_num_connections() < 1:
             time.sleep(0.01)
         for number in range(COMMANDS):
@@ -134,7 +130,7 @@ def command_delays() -> List[int]:
     return [after - before for before, after in zip(arrivals, moved)]
 
 
-def main() -> None:
+def main():
     """Measure, print and write."""
     wanted = options(__doc__, rounds=3, seconds=5.0)
     start_ros()

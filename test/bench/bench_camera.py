@@ -9,8 +9,6 @@ every frame arrives, and what it costs.
 --frames N: timed frames of each kind. --seconds S: wall time of the second part.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess
@@ -19,12 +17,11 @@ import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
-from typing import Dict, List
 
 import numpy as np
 import rospy
 from bullet_lab.msg import MarkerDetectionArray
-from common import Row, options, report, start_ros
+from common import options, report, start_ros
 from lab_nodes import Node, end_all
 from lab_testing import Topic, wait_for
 from sensor_msgs.msg import CameraInfo
@@ -34,8 +31,7 @@ from bullet_lab.ros.nodes.bridge import BridgeParameters, PyBulletBridge
 from bullet_lab.simulation.physics import pybullet
 from bullet_lab.simulation.plugins.camera import Camera
 from bullet_lab.simulation.rendering import driver_name
-from bullet_lab.simulation.simulation import Simulation
-from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere, Visual
+from bullet_lab.simulation.world.description import Box, Cylinder, Mesh, Plane, Sphere
 
 WORLD = "package://bullet_lab/worlds/docking.world"
 ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
@@ -65,11 +61,11 @@ class PyBulletCamera:
     It does so in a thread of its own: the plugin takes its graphics context for always current.
     """
 
-    def __init__(self, simulation: Simulation, camera: Camera):
+    def __init__(self, simulation, camera):
         self._thread = ThreadPoolExecutor(max_workers=1)
         self._thread.submit(self._load, simulation, camera).result()
 
-    def _load(self, simulation: Simulation, camera: Camera) -> None:
+    def _load(self, simulation, camera):
         self._client = pybullet.connect(pybullet.DIRECT)
         plugin = importlib.util.find_spec("eglRenderer").origin
         pybullet.loadPlugin(plugin, "_eglRendererPlugin", physicsClientId=self._client)
@@ -91,11 +87,11 @@ class PyBulletCamera:
             ),
         )
 
-    def seconds(self) -> float:
+    def seconds(self):
         """Draw a picture; return how long that took."""
         return self._thread.submit(self._draw).result()
 
-    def _draw(self) -> float:
+    def _draw(self):
         start = time.perf_counter()
         pybullet.getCameraImage(
             *self._arguments,
@@ -108,7 +104,7 @@ class PyBulletCamera:
         )
         return time.perf_counter() - start
 
-    def _add(self, visual: Visual, pose: Pose) -> None:
+    def _add(self, visual, pose):
         geometry, shape = visual.geometry, {}
         if isinstance(geometry, (Box, Plane)):
             size = geometry.size if isinstance(geometry, Box) else (*geometry.size, 0.001)
@@ -131,13 +127,13 @@ class PyBulletCamera:
 class Stopwatch:
     """Times the frames of a bridge in this process, and PyBullet's pictures in between."""
 
-    def __init__(self, bridge: PyBulletBridge, frames: int):
+    def __init__(self, bridge, frames):
         (robot,) = (m for m in bridge.simulation.models.values() if m.model.name == "camera_robot")
         (self._camera,) = (d for d in robot.plugins if isinstance(d, Camera))
         self._frames = frames
         self._bare = PyBulletCamera(bridge.simulation, self._camera)
-        self.bare: Dict[int, List[float]] = {samples: [] for samples in SAMPLES}
-        self.bridge: Dict[int, List[float]] = {samples: [] for samples in SAMPLES}
+        self.bare = {samples: [] for samples in SAMPLES}
+        self.bridge = {samples: [] for samples in SAMPLES}
         self._produce = self._camera.produce
         self._camera.produce = self._timed_produce
         self._after_steps = bridge.stepper.after_steps
@@ -145,7 +141,7 @@ class Stopwatch:
         self._in_frame = 0.0
         self._since_bare = 0
 
-    def _timed_produce(self, step: int) -> None:
+    def _timed_produce(self, step):
         if not self._camera.image.wanted:
             return
         unfinished = [s for s in SAMPLES if len(self.bridge[s]) < self._frames]
@@ -158,7 +154,7 @@ class Stopwatch:
         self._produce(step)
         self._in_frame = time.perf_counter() - start
 
-    def _timed_flush(self) -> None:
+    def _timed_flush(self):
         start = time.perf_counter()
         self._after_steps()
         if not self._in_frame:
@@ -172,7 +168,7 @@ class Stopwatch:
             rospy.signal_shutdown("measured")
 
 
-def frame_times(frames: int) -> List[Row]:
+def frame_times(frames):
     """Measure PyBullet's pictures and whole frames; medians.
 
     To be called in a process of its own: a ROS node is set up once.
@@ -186,7 +182,7 @@ def frame_times(frames: int) -> List[Row]:
         bridge.spin()
     finally:
         listener.kill()
-    rows: List[Row] = []
+    rows = []
     for samples, asked in ASKED.items():
         bare, whole = (1e3 * float(np.median(t[samples])) for t in (watch.bare, watch.bridge))
         title = f"{samples} samples: drawing to publishing"
@@ -198,12 +194,7 @@ def frame_times(frames: int) -> List[Row]:
     return rows
 
 
-def stamps(topic: Topic) -> List[int]:
-    """Return the simulated times of a topic's messages, in ms."""
-    return [stamp // 1_000_000 for stamp in topic.stamps()]
-
-
-def real_time(seconds: float) -> List[Row]:
+def real_time(seconds):
     """Measure how the camera does at real-time factor 1 with `aruco.py` listening."""
     bridge = Node("pybullet_bridge", f"_world:={WORLD}", f"_robot:={ROBOT}", "_rtf:=1")
     aruco = Node("aruco", "_image:=/mycamera/image_raw", "__name:=aruco")
@@ -212,25 +203,25 @@ def real_time(seconds: float) -> List[Row]:
     try:
         seen.wait(31)
         loads = ThreadPoolExecutor(2)
-        first, start_time = stamps(sent)[-1], time.monotonic()
+        first, start_time = sent.stamps()[-1], time.monotonic()
         of_bridge, of_aruco = loads.map(lambda node: node.percent(seconds), (bridge, aruco))
-        last, passed = stamps(sent)[-1], time.monotonic() - start_time
+        last, passed = sent.stamps()[-1], time.monotonic() - start_time
         # The last one may still be looked at.
-        wait_for(lambda: stamps(seen)[-1] >= last, "the last frame")
+        wait_for(lambda: seen.stamps()[-1] >= last, "the last frame")
     finally:
         end_all(aruco, bridge)
     expected = {-(-1000 * k // 30) for k in range(1, 10**6) if first < 1000 * k / 30 <= last}
     every = f"{len(expected)}"
     return [
         ("30 Hz, aruco.py: real-time factor", (last - first) / 1000.0 / passed, ".3f", ">= 0.99"),
-        ("frames sent", len(expected & set(stamps(sent))), "d", every),
-        ("frames processed by aruco.py", len(expected & set(stamps(seen))), "d", every),
+        ("frames sent", len(expected & set(sent.stamps())), "d", every),
+        ("frames processed by aruco.py", len(expected & set(seen.stamps())), "d", every),
         ("bridge, % of a core", of_bridge, ".0f", "<= 30"),
         ("aruco.py, % of a core", of_aruco, ".0f", ""),
     ]
 
 
-def main() -> None:
+def main():
     """Measure, print and write."""
     wanted = options(__doc__, frames=100, seconds=20.0)
     start_ros()

@@ -9,22 +9,18 @@ writes JSON and heat maps. What was done before it was stopped is not done again
 what two detectors find is there.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import time
 import warnings
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, Dict, Mapping
 
 import cv2
 import numpy as np
 from common import options, write
 from detectors.backgrounds import photographs
-from detectors.contestants import CONTESTANTS, Find, described
+from detectors.contestants import CONTESTANTS, described
 from detectors.measures import ANGLES, CROPS_AT_ONCE, DISTANCES, Plan, cells, do, measured, scene
 from detectors.photos import on_photos
 from detectors.rates import rate_of
@@ -34,7 +30,7 @@ from bullet_lab.core.figures import new_figure, save
 from bullet_lab.studies.study import workers
 
 
-def tuned(seed: int) -> Dict[str, Dict[str, Any]]:
+def tuned(seed):
     """Return each detector's settings that find most, of those the ones with the best corners."""
     scenes = [scene(conditions, seed, 1, k) for k, (_, conditions) in enumerate(cells())]
     best = {}
@@ -47,14 +43,14 @@ def tuned(seed: int) -> Dict[str, Dict[str, Any]]:
     return best
 
 
-def clutter(finders: Mapping[str, Find], rounds: int) -> Dict[str, Dict[str, float]]:
-    """Return the processor's time on whole photographs, 640x480: the best of some rounds."""
+def clutter(finders):
+    """Return the processor's time on whole photographs, 640x480: the best of three rounds."""
     figures = {}
     for name, find in finders.items():
         times = []
         for image in photographs().values():
             spent = []
-            for _ in range(rounds + 1):
+            for _ in range(4):
                 start = time.process_time()
                 find(image)
                 spent.append(1e3 * (time.process_time() - start))
@@ -63,9 +59,9 @@ def clutter(finders: Mapping[str, Find], rounds: int) -> Dict[str, Dict[str, flo
     return figures
 
 
-def all_figures(plan: Plan, journal: Path, count: int) -> Dict[int, Dict[str, Any]]:
+def all_figures(plan, journal, count):
     """Return the figures of all tasks; those that a journal of the same plan has are not redone."""
-    figures: Dict[int, Dict[str, Any]] = {}
+    figures = {}
     first = json.dumps({"plan": plan.key()})
     lines = journal.read_text().splitlines() if journal.exists() else []
     if lines[:1] == [first]:
@@ -82,11 +78,11 @@ def all_figures(plan: Plan, journal: Path, count: int) -> Dict[int, Dict[str, An
     return figures
 
 
-def compare(plan: Plan, journal: Path, count: int) -> Dict[str, Any]:
+def compare(plan, journal, count):
     """Run everything and return the figures by detector."""
     figures, named = all_figures(plan, journal, count), cells()
-    report: Dict[str, Any] = {}
-    for name, times in clutter(plan.finders(), 3).items():
+    report = {}
+    for name, times in clutter(plan.finders()).items():
         of_cells = {cell: figures[k][name] for k, (cell, _) in enumerate(named)}
         settings = described(plan.settings[name])
         report[name] = {"settings": settings, "cells": of_cells, "photographs": times}
@@ -99,7 +95,7 @@ def compare(plan: Plan, journal: Path, count: int) -> Dict[str, Any]:
         for one in of_crops:
             wrong[one["photograph"]] += one[name]
             sizes[one["photograph"]] += CROPS_AT_ONCE
-        rate = asdict(rate_of(list(wrong.values()), list(sizes.values())))
+        rate = rate_of(list(wrong.values()), list(sizes.values()))._asdict()
         total = {
             "crops": sum(sizes.values()),
             "photographs": len(seen),
@@ -109,7 +105,7 @@ def compare(plan: Plan, journal: Path, count: int) -> Dict[str, Any]:
     return report
 
 
-def heat_maps(report: Mapping[str, Any]) -> Any:
+def heat_maps(report):
     """Draw the share that is found, and corners' errors, by distance and angle."""
     figure = new_figure(13.0, 6.0)
     grid = figure.subplots(2, len(CONTESTANTS))
@@ -137,13 +133,13 @@ def heat_maps(report: Mapping[str, Any]) -> Any:
     return figure
 
 
-def _value(row: Mapping[str, Any], key: str) -> float:
+def _value(row, key):
     if key == "found":
         return 100.0 * row["found"] / row["scenes"]
     return math.nan if row[key] is None else row[key]
 
 
-def print_table(report: Mapping[str, Any]) -> None:
+def print_table(report):
     """Print what was measured: found / corners' error in px / pose error in mm."""
     print(f"{'':16}" + "".join(f"{name:>26}" for name in CONTESTANTS) + "   NEES of ours (6)")
     for cell in report["ours"]["cells"]:
@@ -164,7 +160,7 @@ def print_table(report: Mapping[str, Any]) -> None:
         print(name, json.dumps({k: v for k, v in report[name].items() if k != "cells"}))
 
 
-def main() -> None:
+def main():
     """Measure, print and write."""
     wanted = options(__doc__, scenes=50, crops=50_000, workers=0, seed=1, photos="")
     warnings.simplefilter("ignore")

@@ -4,15 +4,13 @@ How many times real time it runs at.
 --dockings N: so many. --seed S: of all that is random.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 
 LEAST_FACTOR = 25.0
 
 
-def main() -> None:
+def main():
     """Measure, print and write."""
     # Here, since each worker imports this module: as with the command, it is to import little.
     from common import options, report

@@ -4,19 +4,16 @@ No ROS master: the simulation alone, and the making of messages.
 --rounds N: of which the median is taken. --seconds S: simulated, of the fleet.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from io import BytesIO
-from typing import Any, Callable, List
 
-from common import Row, options, report
+from common import options, report
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.ros.messages.conversions import Converter
 from bullet_lab.simulation.plugins.samples import PlanarCommand
-from bullet_lab.simulation.simulation import ModelInstance, Simulation
+from bullet_lab.simulation.simulation import Simulation
 
 WORLD = "package://bullet_lab/worlds/beacons.world"
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -27,7 +24,7 @@ SPACING = 1.5
 FIRST_PLACE = (1.0, 6.0)
 
 
-def add_fleet(simulation: Simulation, number: int) -> List[ModelInstance]:
+def add_fleet(simulation, number):
     """Add robots that drive in circles."""
     robots = []
     for index in range(number):
@@ -41,19 +38,19 @@ def add_fleet(simulation: Simulation, number: int) -> List[ModelInstance]:
     return robots
 
 
-def message_writer(kind: type) -> Callable[[Any], None]:
+def message_writer(kind):
     """Return a listener that makes messages of samples, as the bridge does."""
     convert = Converter(kind).convert
     buffer = BytesIO()
 
-    def write(sample: Any) -> None:
+    def write(sample):
         buffer.seek(0)
         convert(sample).serialize(buffer)
 
     return write
 
 
-def scan_milliseconds(robots: int, scans: int) -> List[float]:
+def scan_milliseconds(robots, scans):
     """Return how long scans of one robot took, among others."""
     times = []
     with Simulation.of(WORLD) as simulation:
@@ -68,7 +65,7 @@ def scan_milliseconds(robots: int, scans: int) -> List[float]:
     return times
 
 
-def engine_factor(robots: int, seconds: float) -> float:
+def engine_factor(robots, seconds):
     """Return the real-time factor of the engine's steps with a fleet that nobody drives."""
     with Simulation.of(WORLD) as simulation:
         add_fleet(simulation, robots)
@@ -80,12 +77,12 @@ def engine_factor(robots: int, seconds: float) -> float:
         return seconds / (time.perf_counter() - start)
 
 
-def main() -> None:
+def main():
     """Measure, print and write the medians of the rounds."""
     wanted = options(__doc__, rounds=3, seconds=5.0)
     alone, among = (scan_milliseconds(robots, 100 * wanted.rounds) for robots in (1, FLEET))
     factors = [engine_factor(FLEET, wanted.seconds) for _ in range(wanted.rounds)]
-    rows: List[Row] = [
+    rows = [
         ("360-ray scan with its message, ms", statistics.median(alone), ".2f", "<= 1"),
         (f"the same among {FLEET} robots", statistics.median(among), ".2f", "<= 1"),
         (f"{FLEET} robots, the engine's steps alone", statistics.median(factors), ".1f", ""),

@@ -7,8 +7,6 @@ The loop gives each message its covariances; the many paths have them from `exac
 --rounds N. --paths N: at each of the levels.
 """
 
-from __future__ import annotations
-
 import os
 
 # Before numpy is loaded: its linear algebra would take all cores.
@@ -16,11 +14,9 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"
 
 import time  # noqa: E402
-from typing import Callable  # noqa: E402
 
 from common import options, report  # noqa: E402
 
-from bullet_lab.core.trajectory import Trajectory  # noqa: E402
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps, study_generator  # noqa: E402
 from bullet_lab.noise.odometry_noise import NoisyPath  # noqa: E402
 from bullet_lab.studies.noise_study.regions import level_rule  # noqa: E402
@@ -34,14 +30,14 @@ LOOP_PATHS = 2
 MOST_SECONDS, LEAST_FACTOR = 3.0, 100.0
 
 
-def seconds(work: Callable[[], None]) -> float:
+def seconds(work):
     """Return the time of the processor, one core of it, that some work takes."""
     start = time.process_time()
     work()
     return time.process_time() - start
 
 
-def draw(trajectory: Trajectory, paths: int) -> None:
+def draw(trajectory, paths):
     """Draw all noisy paths, every pose of them, and look at none."""
     for std in LEVELS:
         steps = noisy_steps(trajectory.poses, level_rule(MODEL, std))
@@ -49,7 +45,7 @@ def draw(trajectory: Trajectory, paths: int) -> None:
             pass
 
 
-def loop(trajectory: Trajectory) -> None:
+def loop(trajectory):
     """Make some noisy paths message by message, with covariances, as noisy_odom does."""
     poses = trajectory.poses.tolist()
     for std in LEVELS:
@@ -60,7 +56,7 @@ def loop(trajectory: Trajectory) -> None:
                 path.update(*pose)
 
 
-def main() -> None:
+def main():
     """Measure all in turns, print and write."""
     wanted = options(__doc__, rounds=5, paths=1000)
     trajectory = resample(simulated_square(), RATE)

@@ -4,15 +4,12 @@ Prints which sums, functions and pictures have other bits then; scripts/bench.sh
 --here: computes them, as this process is told to, and prints their digests.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
 import os
 import subprocess
 import sys
-from typing import Any, Dict
 
 import cv2
 import numpy as np
@@ -42,7 +39,7 @@ ROBOT = "package://bullet_lab/urdf/camera_robot.urdf"
 VIEW = View(eye=(0.5, -0.3, 0.3), target=(4.0, 0.0, 0.2), width=320, height=240)
 
 
-def results() -> Dict[str, Any]:
+def results():
     """Compute some of everything; return it by what computes it."""
     random = np.random.default_rng(1)
     x = 3.0 * random.normal(size=20_000)
@@ -76,14 +73,14 @@ def results() -> Dict[str, Any]:
     return found
 
 
-def main() -> None:
+def main():
     """Compare each with the first, print and write JSON."""
     wanted = options(__doc__, here=False)
     if wanted.here:
         all_bytes = {name: np.array(value).tobytes() for name, value in results().items()}
         print(json.dumps({n: hashlib.sha256(one).hexdigest() for n, one in all_bytes.items()}))
         return
-    found: Dict[str, Dict[str, str]] = {}
+    found = {}
     for name, variables in TOLD.items():
         command = [sys.executable, __file__, str(wanted.out), "--here"]
         done = subprocess.run(

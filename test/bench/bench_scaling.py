@@ -7,16 +7,12 @@ what has been measured so far of both beside each other.
 --rounds N: of which the median is taken. --seconds S: simulated, of each round.
 """
 
-from __future__ import annotations
-
 import json
 import statistics
 import time
-from pathlib import Path
-from typing import Any, List
 
 import rospy
-from common import Bridge, Row, options, report, start_ros, urdf
+from common import Bridge, options, report, start_ros, urdf
 from lab_nodes import end_all
 
 from bullet_lab.core.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save
@@ -37,7 +33,7 @@ class Scaled(Bridge):
         self._topics = 0
         self._received = 0
 
-    def add(self, bench: str, number: int) -> None:
+    def add(self, bench, number):
         """Put one more into the world; listen to robots."""
         if bench == "models":
             self.add_model(f"beacon_{number}", number)
@@ -47,14 +43,14 @@ class Scaled(Bridge):
             rospy.Subscriber(f"{name}/{topic}", rospy.AnyMsg, self._receive)
             self._topics += 1
 
-    def factor(self, seconds: float) -> float:
+    def factor(self, seconds):
         """Return simulated seconds per second."""
         self._settle()
         start = time.perf_counter()
         self.step(round(1000 * seconds))
         return seconds / (time.perf_counter() - start)
 
-    def _settle(self) -> None:
+    def _settle(self):
         """Let robots get going, and see that all topics are there."""
         deadline = time.monotonic() + 20.0
         while True:
@@ -67,17 +63,17 @@ class Scaled(Bridge):
             if time.monotonic() > deadline:
                 raise SystemExit(f"{self._received} messages in 0.2 s of {self._topics} topics")
 
-    def _receive(self, _message: Any) -> None:
+    def _receive(self, _message):
         self._received += 1
 
 
-def measure(bench: str, rounds: int, seconds: float) -> List[Row]:
+def measure(bench, rounds, seconds):
     """Return the real-time factors for each number; medians of the rounds.
 
     All come from one bridge, to which robots or models are added on the way.
     """
     bridge = Scaled()
-    rows: List[Row] = []
+    rows = []
     there = 0
     try:
         if bench == "models":
@@ -97,7 +93,7 @@ def measure(bench: str, rounds: int, seconds: float) -> List[Row]:
     return rows
 
 
-def draw(folder: Path) -> None:
+def draw(folder):
     """Draw what is there of both benches into scaling.png."""
     figure = new_figure(9.0, 3.8)
     for index, (bench, colour) in enumerate((("robots", BLUE), ("models", ORANGE)), start=1):
@@ -119,7 +115,7 @@ def draw(folder: Path) -> None:
     save(figure, folder / "scaling.png")
 
 
-def main() -> None:
+def main():
     """Measure, print, write and draw; the name of the file to write is that of the bench."""
     wanted = options(__doc__, rounds=3, seconds=3.0)
     start_ros()

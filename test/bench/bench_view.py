@@ -6,14 +6,11 @@ nobody there, with somebody, and with one more robot's camera image of 10 Hz.
 --robots N. --seconds S: wall time of a round. --rounds N: of which the median is taken.
 """
 
-from __future__ import annotations
-
 import re
 import statistics
 import time
-from typing import List
 
-from common import Bridge, Row, options, report, start_ros, urdf
+from common import Bridge, options, report, start_ros, urdf
 from lab_nodes import Node, end_all
 
 # `common` has added their folders to the path.
@@ -24,14 +21,14 @@ ALLOWED = {"nobody": 1.0, "somebody": 15.0, "with an image": 25.0}
 SETTLE_SECONDS = 5.0
 
 
-def measure(bridge: Bridge, view: Node, number: int, seconds: float, rounds: int) -> List[Row]:
+def measure(bridge, view, number, seconds, rounds):
     """Return what the view costs in each of the three cases, medians of rounds."""
     # Each says where it is as often as pictures are sent.
     block = re.sub(r"<odometryRate>[^<]*<", "<odometryRate>30<", urdf("block_robot"))
     for index in range(number):
         bridge.add_robot(index, block)
     url = wait_for_url(view.output)
-    rows: List[Row] = []
+    rows = []
     for case, allowed in ALLOWED.items():
         if case == "with an image":
             bridge.add_robot(number, urdf("camera_robot"))
@@ -48,7 +45,7 @@ def measure(bridge: Bridge, view: Node, number: int, seconds: float, rounds: int
     return rows
 
 
-def main() -> None:
+def main():
     """Measure, print and write."""
     wanted = options(__doc__, robots=20, seconds=10.0, rounds=3)
     start_ros()

@@ -3,17 +3,14 @@
 --models N: so many. --camera: also before a robot with a camera that looks on.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, List
 
 import rospy
-from common import Bridge, Row, options, report, start_ros
+from common import Bridge, options, report, start_ros
 from lab_nodes import end_all
 from sensor_msgs.msg import Image
 
@@ -28,13 +25,13 @@ STEPS_PER_IMAGE = 40
 WARM_UP = 100
 
 
-def start(robot: str) -> Bridge:
+def start(robot):
     """Start a paused bridge at full speed."""
     urdf = f"_robot:=package://bullet_lab/urdf/{robot}_robot.urdf"
     return Bridge("_paused:=true", "_rtf:=0", "_save_folder:=/", urdf)
 
 
-def step_microseconds(bridge: Bridge) -> float:
+def step_microseconds(bridge):
     """Return the wall time of one physics step, the median of five series."""
     times = []
     for _ in range(5):
@@ -44,7 +41,7 @@ def step_microseconds(bridge: Bridge) -> float:
     return 1e6 * statistics.median(times)
 
 
-def come_and_go(bridge: Bridge, model: str, count: int, steps: int) -> None:
+def come_and_go(bridge, model, count, steps):
     """Spawn and delete one model after another."""
     for number in range(count):
         bridge.add_model("passing", number % 64, model)
@@ -52,11 +49,11 @@ def come_and_go(bridge: Bridge, model: str, count: int, steps: int) -> None:
         bridge.delete("passing")
 
 
-def passing_models(robot: str, count: int) -> List[Row]:
+def passing_models(robot, count):
     """Measure memory and step time before and after so many models have come and gone."""
     bridge = start(robot)
     steps = 1
-    images: List[Any] = []
+    images = []
     if robot == "camera":
         steps = STEPS_PER_IMAGE
         rospy.Subscriber("mycamera/image_raw", Image, lambda message: images.append(message.header))
@@ -76,7 +73,7 @@ def passing_models(robot: str, count: int) -> List[Row]:
     ]
 
 
-def crowd(count: int, path: Path) -> List[Row]:
+def crowd(count, path):
     """Measure how long so many models take to be saved, and how they are loaded again."""
     bridge = start("block")
     for number in range(count):
@@ -91,7 +88,7 @@ def crowd(count: int, path: Path) -> List[Row]:
     ]
 
 
-def largest_error(bridge: Bridge, path: Path) -> float:
+def largest_error(bridge, path):
     """Return how far any model of a saved world is from where the running one has it, in m."""
     errors = []
     with Simulation(read_world_file(path)) as again:
@@ -102,11 +99,11 @@ def largest_error(bridge: Bridge, path: Path) -> float:
     return max(errors)
 
 
-def main() -> None:
+def main():
     """Measure, print and write."""
     wanted = options(__doc__, models=1000, camera=False)
     start_ros()
-    rows: List[Row] = []
+    rows = []
     for robot in PASSING if wanted.camera else ("block",):
         print(f"{wanted.models} models one after another, {robot} robot …")
         rows += passing_models(robot, wanted.models)

@@ -1,13 +1,9 @@
 """What the benchmarks share: command lines, figures, and a bridge with robots and models."""
 
-from __future__ import annotations
-
-import argparse
 import os
 import platform
 import sys
 from pathlib import Path
-from typing import Any, List, Mapping, Optional, Sequence, Tuple, Union
 
 import rospy
 from bullet_lab.srv import SaveWorld, Step
@@ -26,11 +22,9 @@ INCLUDE = '<sdf version="1.6"><include><uri>model://{}</uri></include></sdf>'
 SPACING = 2.5
 PER_ROW = 8
 START_SECONDS = 60.0
-# Of a table: name, value, its format, and what is asked for.
-Row = Tuple[str, float, str, str]
 
 
-def options(doc: Optional[str], **defaults: Union[int, float, bool]) -> argparse.Namespace:
+def options(doc, **defaults):
     """Read the command line: `out`, the JSON file to write, and options with their defaults."""
     parser = parser_of("bench.sh", doc, **defaults)
     parser.add_argument("out", type=Path)
@@ -39,14 +33,14 @@ def options(doc: Optional[str], **defaults: Union[int, float, bool]) -> argparse
     return wanted
 
 
-def start_ros(sim_time: bool = False) -> None:
+def start_ros():
     """Be a node, on a ROS master of this program's own unless one is given."""
     prepare_master()
     rospy.init_node("bench", disable_signals=True)
-    rospy.set_param("/use_sim_time", sim_time)
+    rospy.set_param("/use_sim_time", False)
 
 
-def report(out: Path, rows: Sequence[Row], title: str = "", **more: Any) -> None:
+def report(out, rows, title="", **more):
     """Print names, values in a format and what is asked for; write the values and more figures."""
     width = max(len(row[0]) for row in rows)
     print(f"\n{title:{width}} {'measured':>9} {'asked':>8}")
@@ -55,7 +49,7 @@ def report(out: Path, rows: Sequence[Row], title: str = "", **more: Any) -> None
     write(out, {**{name: value for name, value, _, _ in rows}, **more})
 
 
-def write(out: Path, figures: Mapping[str, Any]) -> None:
+def write(out, figures):
     """Write figures, with the machine that they are of."""
     machine = platform.processor() or platform.machine()
     write_json(out, {"machine": machine, "cores": os.cpu_count(), **figures})
@@ -65,7 +59,7 @@ def write(out: Path, figures: Mapping[str, Any]) -> None:
 class Bridge(Node):
     """A bridge to which robots and models are added."""
 
-    def __init__(self, *words: str):
+    def __init__(self, *words):
         super().__init__("pybullet_bridge", *words)
         rospy.wait_for_service("/bullet_lab/advance", START_SECONDS)
         self.step = _service("/bullet_lab/step", Step)
@@ -74,9 +68,9 @@ class Bridge(Node):
         self.state = _service("/gazebo/get_model_state", srv.GetModelState)
         self._spawn_sdf = _service("/gazebo/spawn_sdf_model", srv.SpawnModel)
         self._spawn_urdf = _service("/gazebo/spawn_urdf_model", srv.SpawnModel)
-        self._commands: List[rospy.Publisher] = []
+        self._commands = []
 
-    def add_robot(self, number: int, text: str) -> str:
+    def add_robot(self, number, text):
         """Put a robot into the world and let it drive in circles; return its name."""
         name = f"robot{number}"
         pose = _pose(*(SPACING * place for place in reversed(divmod(number, PER_ROW))))
@@ -88,20 +82,20 @@ class Bridge(Node):
         self._commands.append(commands)
         return name
 
-    def add_model(self, name: str, number: int, kind: str = "beacon") -> None:
+    def add_model(self, name, number, kind="beacon"):
         """Put a model of the package at the n-th place of a square field, away from robots."""
         row, column = divmod(number, 32)
         self._spawn_sdf(name, INCLUDE.format(kind), "", _pose(3.0 + column, row - 16.0), "")
 
 
-def urdf(name: str) -> str:
+def urdf(name):
     """Return the description of a robot of the package."""
     return (PACKAGE / "urdf" / f"{name}.urdf").read_text()
 
 
-def _service(name: str, kind: type) -> rospy.ServiceProxy:
+def _service(name, kind):
     return rospy.ServiceProxy(name, kind, persistent=True)
 
 
-def _pose(x: float, y: float) -> Pose:
+def _pose(x, y):
     return Pose(Point(x, y, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))

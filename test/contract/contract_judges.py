@@ -3,14 +3,12 @@
 Each kind of expectation is a function in JUDGES: it returns what is wrong, or "" if nothing is.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import statistics
 import struct
 from dataclasses import dataclass, field
-from typing import Any, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Any
 
 from rosgraph.names import namespace, ns_join
 
@@ -49,8 +47,8 @@ class Heard:
     type: str = ""
     md5: str = ""
     latching: bool = False
-    kind: Optional[type] = None
-    buffers: List[bytes] = field(default_factory=list)
+    kind: type = None
+    buffers: list = field(default_factory=list)
 
     def message(self, index):
         """Return a message; raise NotSeenError."""
@@ -93,12 +91,12 @@ class Evidence:
         seconds_before: for how long time ran before that, in s.
     """
 
-    published: Mapping[str, str] = field(default_factory=dict)
-    taken: Mapping[str, str] = field(default_factory=dict)
-    services: Mapping[str, Tuple[str, str]] = field(default_factory=dict)
-    heard: Mapping[str, Heard] = field(default_factory=dict)
-    frames: Set[Tuple[str, str]] = field(default_factory=set)
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    published: dict = field(default_factory=dict)
+    taken: dict = field(default_factory=dict)
+    services: dict = field(default_factory=dict)
+    heard: dict = field(default_factory=dict)
+    frames: set = field(default_factory=set)
+    parameters: dict = field(default_factory=dict)
     seconds: float = 0.0
     seconds_before: float = 0.0
 
@@ -117,9 +115,9 @@ class Scene:
     """
 
     evidence: Evidence
-    types: Mapping[str, str]
+    types: dict
     topic: str = ""
-    place: Sequence[float] = (0.0, 0.0, 0.0)
+    place: tuple = (0.0, 0.0, 0.0)
     answer: Any = None
     error: str = ""
 
@@ -359,21 +357,8 @@ _TESTS = {
     "below": lambda want, found: found < want,
 }
 
-JUDGES = {
-    "publishes": _publishes,
-    "takes": _takes,
-    "absent": _absent,
-    "offers": _offers,
-    "latched": _latched,
-    "silent": _silent,
-    "parameter": _parameter,
-    "rate": _rate,
-    "fields": _fields,
-    "answers": _answers,
-    "fails": _fails,
-    "change": _change,
-    "spread": _spread,
-    "stamped": _stamped,
-    "tf": _tf,
-    "no_tf": _no_tf,
-}
+_JUDGES = (
+    *(_publishes, _takes, _absent, _offers, _latched, _silent, _parameter, _rate),
+    *(_fields, _answers, _fails, _change, _spread, _stamped, _tf, _no_tf),
+)
+JUDGES = {one.__name__[1:]: one for one in _JUDGES}

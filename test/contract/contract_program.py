@@ -8,8 +8,6 @@ It needs a ROS master with a simulator: this package's bridge, or a Gazebo.
 :ROS Subscribers, publishers: the topics of the probes that it spawns
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import Counter
@@ -23,7 +21,7 @@ from contract_run import DEVIATES, FAILED, NOT_JUDGED, PASSED, ContractRun
 from contract_simulator import Simulator
 
 from bullet_lab.core import parameters
-from bullet_lab.core.files import replace_file
+from bullet_lab.core.files import write_text
 from bullet_lab.core.parameters import ArgumentParser, ArgumentsError, add_options, read_options
 from bullet_lab.errors import LabError
 from bullet_lab.ros.node.node import STATUS_BAD_PARAMETER, NodeError, run_node
@@ -160,8 +158,8 @@ def write_junit(path, verdicts, seconds):
         case = ElementTree.SubElement(suite, "testcase", source)
         if entry.status in KINDS:
             ElementTree.SubElement(case, KINDS[entry.status], message=entry.detail)
-    text = ElementTree.tostring(suite, encoding="unicode")
-    replace_file(path, lambda part: part.write_text(text, encoding="utf-8"))
+    text = ElementTree.tostring(suite).decode()
+    write_text(path, text)
 
 
 def deviations_table(contract):

@@ -9,13 +9,11 @@ The rows of a chapter are followed in their order if one of them has a call, or 
 `run` (in s, perhaps with messages to `publish`), or must `wait` (wall s, while time is paused).
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
-from typing import Any, Mapping, Optional, Sequence, Tuple
+from typing import Any
 from xml.sax.saxutils import escape
 
 import yaml
@@ -61,14 +59,14 @@ class Probe:
     name: str
     robot: str
     plugin: str
-    tags: Mapping[str, Any] = field(default_factory=dict)
-    fill: Mapping[str, Any] = field(default_factory=dict)
-    namespace: Optional[str] = None
+    tags: dict = field(default_factory=dict)
+    fill: dict = field(default_factory=dict)
+    namespace: str = None
     tf_prefix: str = ""
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    rpy: Sequence[float] = (0.0, 0.0, 0.0)
+    parameters: dict = field(default_factory=dict)
+    rpy: tuple = (0.0, 0.0, 0.0)
     floor: bool = True
-    publish: Sequence[Mapping[str, Any]] = ()
+    publish: tuple = ()
     round: int = 1
 
     @property
@@ -118,18 +116,18 @@ class Row:
     probe: str = ""
     topic: str = ""
     call: str = ""
-    request: Mapping[str, Any] = field(default_factory=dict)
+    request: dict = field(default_factory=dict)
     run: float = 0.0
     wait: float = 0.0
-    publish: Sequence[Mapping[str, Any]] = ()
+    publish: tuple = ()
 
 
 @dataclass(frozen=True)
 class Chapter:
     """A file of the contract: its probes by name, and its rows."""
 
-    probes: Mapping[str, Probe]
-    rows: Tuple[Row, ...]
+    probes: dict
+    rows: tuple
 
     def has_steps(self):
         """Return whether its rows are followed in their order."""
@@ -143,9 +141,9 @@ class Deviation:
     `instead` has the expectations that it meets instead, by their words; it may be empty.
     """
 
-    rows: Tuple[str, ...]
+    rows: tuple
     reason: str
-    instead: Mapping[str, Any] = field(default_factory=dict)
+    instead: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -159,9 +157,9 @@ class Contract:
             loses a model that is spawned while paused under the name of a deleted one.
     """
 
-    chapters: Tuple[Chapter, ...]
-    types: Mapping[str, str]
-    deviations: Tuple[Deviation, ...]
+    chapters: tuple
+    types: dict
+    deviations: tuple
     folder: Path
     mark: str = ""
 

@@ -1,10 +1,8 @@
 """Runs the contract: spawns probes, lets time run, calls services, judges and cleans up."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import rospy
 from contract_judges import Evidence, Scene, judge
@@ -33,8 +31,7 @@ SLAB = (4.6, 4.6, 0.2)
 _WITHOUT_MESSAGES = {"offers", "absent", "takes"}
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The result of a row; `detail` is what was found, or the reason of a deviation."""
 
     row: Row
@@ -71,7 +68,7 @@ class ContractRun:
         patience: wall seconds for which a simulator that died is waited for.
     """
 
-    def __init__(self, contract, simulator, rows, deviations, patience=0.0):
+    def __init__(self, contract, simulator, rows, deviations, patience):
         self._contract = contract
         self._simulator = simulator
         self._wanted = {row.name for row in rows}

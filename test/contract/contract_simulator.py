@@ -1,7 +1,5 @@
 """The simulator on the ROS master: calls its services, lets time run, and records its topics."""
 
-from __future__ import annotations
-
 import concurrent.futures
 import contextlib
 import threading

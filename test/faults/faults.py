@@ -5,8 +5,6 @@ same seed. A failure leaves its folder there, and the command that repeats it.
 --count N: number of faults, from the index --first on.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal
@@ -18,6 +16,8 @@ from pathlib import Path
 from kinds import JOBS, KINDS, PACKAGE, drawn
 from tqdm import tqdm
 from trial import Trial
+
+from bullet_lab.core.files import write_json
 
 sys.path.append(str(PACKAGE / "test"))
 from lab_nodes import parser_of  # noqa: E402
@@ -86,7 +86,7 @@ def main():
         if row["wrong"]:
             tqdm.write(f"{fault}: {'; '.join(row['wrong'])}\n    {row['command']}")
     summary = summary_of(rows)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    write_json(out / "summary.json", summary)
     failed = len(summary["failures"])
     print(f"{summary['tried']} faults, {summary['struck']} in time, {failed} failures; see {out}")
     sys.exit(1 if failed else 0)

@@ -1,12 +1,10 @@
 """The kinds of faults, and the fault that a seed and an index mean."""
 
-from __future__ import annotations
-
 import shlex
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Tuple
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -35,7 +33,7 @@ class Kind(NamedTuple):
     """
 
     weight: float
-    targets: Tuple[str, ...] = ()
+    targets: tuple = ()
     signal: int = 0
     live: bool = False
 

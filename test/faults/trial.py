@@ -1,7 +1,5 @@
 """A trial: one job with one fault, and the checks afterwards."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -14,7 +12,6 @@ import time
 import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import List, Optional
 
 import psutil
 import rosgraph.names
@@ -33,7 +30,7 @@ from kinds import (
 from PIL import Image
 
 sys.path.append(str(PACKAGE / "test" / "rostest"))
-from lab_testing import Master  # noqa: E402
+from lab_testing import Master, command_of, processes_with  # noqa: E402
 
 # Environment variable that marks all processes of a trial.
 MARK = "BULLET_LAB_FAULT"
@@ -63,9 +60,9 @@ class Outcome:
 
     struck: bool = False
     victim: str = ""
-    status: Optional[int] = None
+    status: int = None
     seconds: float = 0.0
-    wrong: List[str] = field(default_factory=list)
+    wrong: list = field(default_factory=list)
 
 
 class Trial:
@@ -173,7 +170,7 @@ class Trial:
         if self._fault.target in (LAUNCHER, TERMINAL):
             return psutil.Process(self._job.pid)
         if self._fault.target == WORKER:
-            workers = [one for one in self._processes() if "spawn_main" in _command(one)]
+            workers = [one for one in self._processes() if "spawn_main" in command_of(one)]
             return workers[int(self._fault.choice * len(workers))] if workers else None
         nodes = _nodes_of(self._fault.job, self._words)
         self._outcome.victim = nodes[int(self._fault.choice * len(nodes))]
@@ -182,7 +179,7 @@ class Trial:
     def _node(self, name):
         # roslaunch adds a number to the name of the log.
         log = re.compile(rf"__log:=\S*/{name.strip('/').replace('/', '-')}-\d+\.log")
-        return next((one for one in self._processes() if log.search(_command(one))), None)
+        return next((one for one in self._processes() if log.search(command_of(one))), None)
 
     def _meddle(self):
         uri = self._await(self._master_uri)
@@ -267,14 +264,7 @@ class Trial:
 
     def _processes(self):
         """Return the running processes of this trial."""
-        found = []
-        mine = f"{MARK}={self._mark}".encode()
-        for entry in Path("/proc").glob("[0-9]*"):
-            # Zombies have no environment.
-            with contextlib.suppress(OSError, psutil.Error):
-                if mine in (entry / "environ").read_bytes().split(b"\0"):
-                    found.append(psutil.Process(int(entry.name)))
-        return found
+        return processes_with(f"{MARK}={self._mark}")
 
     def _record_state(self):
         """Record the state before the fault: whether all was done, and the lines of recordings."""
@@ -297,8 +287,8 @@ class Trial:
             while self._processes() and time.monotonic() < deadline:
                 time.sleep(0.05)
             for one in self._processes():
-                self._wrong(f"left running: {_command(one)[:200]}")
-        lines = [f"{one.pid} {_command(one)}\n" for one in self._processes()]
+                self._wrong(f"left running: {command_of(one)[:200]}")
+        lines = [f"{one.pid} {command_of(one)}\n" for one in self._processes()]
         if lines:
             (self._folder / "processes").write_text("".join(lines))
 
@@ -387,13 +377,6 @@ def _nodes_of(job, words):
     path = str(PACKAGE / "launch" / f"{job}.launch")
     config = roslaunch.config.load_config_default([(path, list(words))], None, verbose=False)
     return [rosgraph.names.ns_join(node.namespace, node.name) for node in config.nodes]
-
-
-def _command(process):
-    """Return the command line of a process, as far as there is one."""
-    with contextlib.suppress(psutil.Error):
-        return " ".join(process.cmdline())
-    return ""
 
 
 def _lines(path):

@@ -6,10 +6,7 @@ in the results' folder, beside the command that repeats it.
 first mutant. --each N: mutants of a way's share before the next one.
 """
 
-from __future__ import annotations
-
 import itertools
-import json
 import math
 import os
 import subprocess
@@ -17,13 +14,14 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from mutations import generator, mutant
 from tqdm import tqdm
 from ways import WAYS
+
+from bullet_lab.core.files import write_json
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
@@ -35,8 +33,7 @@ PATIENCE, PATIENCE_EACH = 60.0, 1.0
 ROUND = 10
 
 
-@dataclass(frozen=True)
-class Failure:
+class Failure(NamedTuple):
     """A mutant that has failed, why, and how to see it again."""
 
     way: str
@@ -98,8 +95,7 @@ def _one_worker(batches, seed, folder):
         if line.startswith("!"):
             failures.append(Failure(batches[place].way, seed, number, line[2:].strip()))
         else:
-            way, number = line.split()[0], int(line.split()[1])
-            place = next(at for at, one in enumerate(batches) if at >= place and one.way == way)
+            place, number = map(int, line.split())
     if why:
         failures.append(Failure(batches[place].way, seed, number, why))
     return place, number, failures
@@ -165,7 +161,7 @@ def fuzz(wanted, folder):
         "seed": wanted.seed,
         "mutants": sum(tried.values()),
         "by_way": tried,
-        "failures": [{**asdict(one), "command": one.command} for one in failures],
+        "failures": [{**one._asdict(), "command": one.command} for one in failures],
         "seconds": round(time.monotonic() - start, 1),
     }
 
@@ -189,7 +185,7 @@ def main():
         wanted.mutants = 1000
     wanted.out.mkdir(parents=True, exist_ok=True)
     summary = fuzz(wanted, wanted.out.absolute())
-    (wanted.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    write_json(wanted.out / "summary.json", summary)
     failures = len(summary["failures"])
     print(f"{summary['mutants']} mutants, {failures} failures; see {wanted.out}")
     sys.exit(1 if failures else 0)

@@ -6,10 +6,7 @@ all nodes live, time goes on, nothing that is not finite has come out on the odo
 view drove stands.
 """
 
-from __future__ import annotations
-
 import contextlib
-import json
 import math
 import re
 import sys
@@ -40,11 +37,13 @@ from tqdm import tqdm
 from view_looker import wait_for_url
 from ways import WAYS
 
+from bullet_lab.core.files import write_json
 from bullet_lab.ros.launcher.supervision import prepare_master
 from bullet_lab.ros.view.node import KINDS
 from bullet_lab.ros.view.panel import FASTEST, FASTEST_TURN
 
-# `page` has added its folder to the path.
+# `page` has added their folders to the path.
+from contract_simulator import wait_until  # isort: skip
 from lab_nodes import PACKAGE, Lab, commands, end_all, parser_of  # isort: skip
 
 NODES = commands("""
@@ -172,12 +171,7 @@ class FuzzedLab(Lab):
 
 def soon(condition):
     """Return whether a condition holds before long."""
-    deadline = time.monotonic() + RECOVERY_SECONDS
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.2)
-    return True
+    return wait_until(condition, RECOVERY_SECONDS, 0.2)
 
 
 def inputs():
@@ -359,7 +353,7 @@ def main():
     rospy.set_param("/use_sim_time", True)
     with tempfile.TemporaryDirectory(dir=wanted.out) as folder:
         summary = fuzz(wanted, Path(folder).absolute())
-    (wanted.out / "live.json").write_text(json.dumps(summary, indent=2) + "\n")
+    write_json(wanted.out / "live.json", summary)
     for failure in summary["failures"]:
         print(failure)
     print(f"{summary['messages']} messages, {summary['calls']} calls, "

@@ -1,7 +1,5 @@
 """Random messages of any type: what makes sense, mixed with what does not."""
 
-from __future__ import annotations
-
 import re
 
 import genpy

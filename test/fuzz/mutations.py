@@ -1,7 +1,5 @@
 """Seeded mutations of files: the n-th of a seed is the same on every machine."""
 
-from __future__ import annotations
-
 import re
 import zlib
 

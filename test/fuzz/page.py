@@ -1,10 +1,7 @@
 """Random messages on both sockets of the view's page: viser's, and the one that drives."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
-import time
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
@@ -13,7 +10,8 @@ from viser import _messages
 from websockets.exceptions import WebSocketException
 
 TEST = Path(__file__).resolve().parents[1]
-sys.path += [str(TEST), str(TEST / "rostest")]
+sys.path += [str(TEST), str(TEST / "rostest"), str(TEST / "contract")]
+from contract_simulator import wait_until  # noqa: E402
 from view_looker import Looker, pack  # noqa: E402
 
 TYPES = sorted(
@@ -65,11 +63,7 @@ class PageFuzzer:
     def lives(self):
         """Return whether the other page is still served."""
         before = self._witness.received
-        for _ in range(600):
-            if self._witness.received > before:
-                return True
-            time.sleep(0.1)
-        return False
+        return wait_until(lambda: self._witness.received > before, 60.0, 0.1)
 
     def close(self):
         """Close all pages."""

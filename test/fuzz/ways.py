@@ -3,17 +3,14 @@
 Each takes a mutant and returns the numbers that came of it; it may raise LabError, nothing else.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib
 import math
 import pkgutil
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Callable, Iterable, Sequence
+from typing import Callable, NamedTuple
 
 import rosbag
 import rospy
@@ -47,20 +44,19 @@ class NonsenseError(Exception):
     """A mutant was taken for what makes no sense, and nothing was said."""
 
 
-@dataclass(frozen=True)
-class Way:
+class Way(NamedTuple):
     """A way in.
 
     Attributes:
         seeds: files that make sense, or what stands for them.
         suffix: of the mutants' files.
-        enter: takes the path of a mutant and returns numbers, all of which have to be finite.
+        enter: takes the path of a mutant; a list that it returns has to be of finite numbers.
         share: how many mutants go this way in a round; those that take long are fewer.
     """
 
-    seeds: Callable[[], Sequence[bytes]]
+    seeds: Callable
     suffix: str
-    enter: Callable[[Path], Iterable[float]]
+    enter: Callable
     share: int = 8
 
 
@@ -164,16 +160,6 @@ def expanded(path):
     read_spawned(expand_xacro(path), "mutant")
 
 
-def only(read):
-    """Return a way in of which no numbers come."""
-
-    def enter(path):
-        read(path)
-        return []
-
-    return enter
-
-
 @functools.lru_cache(maxsize=None)
 def jobs():
     """Return the jobs of the package."""
@@ -264,23 +250,23 @@ WAYS = {
     "material": Way(
         files("test/fuzz/examples/*.material"),
         ".material",
-        only(lambda path: parse_script(text_of(path))),
+        lambda path: parse_script(text_of(path)),
     ),
-    "picture": Way(files("models/**/*.png"), ".png", only(lambda path: read_pixels(Texture(path)))),
+    "picture": Way(files("models/**/*.png"), ".png", lambda path: read_pixels(Texture(path))),
     "docks": Way(files("config/docks.yaml"), ".yaml", read_docks_file),
     "map": Way(files("worlds/house.yaml"), ".yaml", read_map_file),
     "tum": Way(files("test/fuzz/examples/*.tum"), ".tum", trajectory),
     "csv": Way(files("test/fuzz/examples/*.csv"), ".csv", trajectory),
     "bag": Way(bags, ".bag", trajectory),
-    "xacro": Way(files("test/tutorials/**/*.xacro"), ".xacro", only(expanded), 1),
-    "launch": Way(files("launch/*.launch"), ".launch", only(lambda path: read_job(path, PACKAGE))),
-    "words": Way(assignments, ".txt", only(assign)),
+    "xacro": Way(files("test/tutorials/**/*.xacro"), ".xacro", expanded, 1),
+    "launch": Way(files("launch/*.launch"), ".launch", lambda path: read_job(path, PACKAGE)),
+    "words": Way(assignments, ".txt", assign),
     "parameters": Way(parameter_files, ".yaml", set_parameters),
 }
 
 
-def check_numbers(numbers):
-    """Raise NonsenseError where one is not finite."""
-    for number in numbers:
+def check_numbers(found):
+    """Raise NonsenseError where a number in a list is not finite."""
+    for number in found if isinstance(found, list) else ():
         if not math.isfinite(number):
             raise NonsenseError(f"{number} came out")

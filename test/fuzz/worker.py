@@ -1,11 +1,10 @@
 """Tries mutants, one after the other: python worker.py SEED FOLDER WAY:FIRST:COUNT …
 
-Before each it prints its way and number, after each that fails why; whoever has started it sees
-by that where it has died or hangs. What an exception does not tell is watched here: files that
-are opened where nothing of the package has a reason to, numbers that are not finite, memory.
+Before each it prints its place in the list and its number, after each that fails why; whoever has
+started it sees by that where it has died or hangs. What an exception does not tell is watched here:
+files that are opened where nothing of the package has a reason to, numbers that are not finite,
+memory.
 """
-
-from __future__ import annotations
 
 import contextlib
 import logging
@@ -110,16 +109,16 @@ def main():
     answers = os.fdopen(os.dup(1), "w")
     # Libraries in C print as they please.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    with tempfile.TemporaryDirectory(dir=folder) as place:
-        watch = Watch(Path(place))
-        os.chdir(place)
-        for batch in batches:
+    with tempfile.TemporaryDirectory(dir=folder) as here:
+        watch = Watch(here)
+        os.chdir(here)
+        for place, batch in enumerate(batches):
             way, first, count = batch.split(":")
             seeds = list(WAYS[way].seeds())
-            path = Path(place) / f"mutant{WAYS[way].suffix}"
+            path = Path(here) / f"mutant{WAYS[way].suffix}"
             for number in range(int(first), int(first) + int(count)):
                 path.write_bytes(mutant(seeds, generator(int(seed), way, number)))
-                print(way, number, file=answers, flush=True)
+                print(place, number, file=answers, flush=True)
                 failure = try_mutant(way, path, watch)
                 if failure:
                     print(f"! {failure}", file=answers, flush=True)

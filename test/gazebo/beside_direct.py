@@ -1,9 +1,5 @@
 """A stage in this process: the simulation itself, without ROS."""
 
-from __future__ import annotations
-
-from beside_scenarios import Stage
-
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.forces import Effort, Period, Wrench
 from bullet_lab.simulation.models import find_joint, find_link
@@ -15,7 +11,7 @@ from bullet_lab.simulation.world.sdf import read_spawned
 FLOOR = "package://bullet_lab/worlds/empty.world"
 
 
-class DirectStage(Stage):
+class DirectStage:
     """The simulation in this process; a new one after `clear`."""
 
     def __init__(self):

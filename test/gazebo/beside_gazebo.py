@@ -4,8 +4,6 @@ The simulator is what answers on the ROS master: this package's bridge, which is
 is there, or a Gazebo. Prints a table, writes all of it as CSV, and ends with 1 if a row fails.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import os

@@ -1,7 +1,5 @@
 """The page docs/beside_gazebo.md: its table, and the pictures of paths and of cameras."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

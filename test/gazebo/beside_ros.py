@@ -5,8 +5,6 @@
 :ROS Publishers: cmd_vel in the namespace of each robot
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time
@@ -14,7 +12,7 @@ import xmlrpc.client
 
 import rosgraph
 import rospy
-from beside_scenarios import PACKAGE, Stage
+from beside_scenarios import PACKAGE
 from geometry_msgs.msg import Point, Twist, Vector3, Wrench
 
 from bullet_lab.core.pose import Pose
@@ -57,10 +55,10 @@ def start_bridge(*words):
     return [node]
 
 
-class RosStage(Gazebo, Stage):
+class RosStage(Gazebo):
     """The simulator on the ROS master, paused. `by_clock`: though there is a service that steps."""
 
-    def __init__(self, by_clock=False):
+    def __init__(self, by_clock):
         super().__init__()
         # Names, and whether they have plugins.
         self._models = {}

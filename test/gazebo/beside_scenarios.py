@@ -2,15 +2,25 @@
 
 Two kinds: a `Drive` is a robot that is sent velocity commands, leg by leg; a `Trial` is a function
 that plays something short with boxes, balls and joints (beside_trials.py). Both are played on a
-`Stage`, which is a simulation in this process or a simulator on a ROS master.
-"""
+stage: a simulation in this process (beside_direct.py) or a simulator on a ROS master
+(beside_ros.py), with a level floor. Time passes only in `run`, in whole steps of 1 ms. It has
 
-from __future__ import annotations
+- spawn(text, pose): adds a model of URDF or SDF text, and returns the name that it has got;
+- clear(): removes all that was spawned;
+- state(name): returns the FrameState of a model, pose and velocity in the world;
+- put(name, state): places a model in motion;
+- command(name, vx, vy, wz): sends a robot a velocity command, in m/s and rad/s;
+- push(body, push): lets a force or torque, a `Push`, act on "model::link";
+- exert(name, joint, effort, seconds): lets a torque (N m) act on a joint;
+- joint(name, joint): returns position and rate of a joint, in rad and rad/s;
+- turn_joint(name, joint, position): places a joint, in rad;
+- run(seconds): lets time pass.
+"""
 
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple, Union
+from typing import NamedTuple
 
 import yaml
 
@@ -26,53 +36,15 @@ SAMPLE = 0.1
 """Simulated seconds between two points of a path."""
 
 
-Figure = Union[float, str, List[float]]
-
-
 @dataclass
 class Played:
     """What came of a scenario: figures by name, and the path as rows t, x, y, yaw (s, m, rad)."""
 
-    figures: Dict[str, Figure] = field(default_factory=dict)
-    path: List[Tuple[float, float, float, float]] = field(default_factory=list)
+    figures: dict = field(default_factory=dict)
+    path: list = field(default_factory=list)
 
 
-class Stage:
-    """A simulator with a level floor. Time passes only in `run`, in whole steps of 1 ms."""
-
-    def spawn(self, text, pose):
-        """Add a model of URDF or SDF text, and return the name that it has got."""
-
-    def clear(self):
-        """Remove all that was spawned."""
-
-    def state(self, name):
-        """Return the FrameState of a model: pose and velocity in the world."""
-
-    def put(self, name, state):
-        """Place a model in motion."""
-
-    def command(self, name, vx, vy, wz):
-        """Send a robot a velocity command, in m/s and rad/s."""
-
-    def push(self, body, push):
-        """Let a force or torque, a `Push`, act on "model::link"."""
-
-    def exert(self, name, joint, effort, seconds):
-        """Let a torque (N m) act on a joint."""
-
-    def joint(self, name, joint):
-        """Return position and rate of a joint, in rad and rad/s."""
-
-    def turn_joint(self, name, joint, position):
-        """Place a joint, in rad."""
-
-    def run(self, seconds):
-        """Let time pass."""
-
-
-@dataclass(frozen=True)
-class Push:
+class Push(NamedTuple):
     """A force (N) at a point (m) and a torque (N m), for some seconds; axes of a frame."""
 
     force: Vector = (0.0, 0.0, 0.0)
@@ -85,8 +57,7 @@ class Push:
 # ---- Drives ----
 
 
-@dataclass(frozen=True)
-class Leg:
+class Leg(NamedTuple):
     """A velocity command (m/s ahead and to the left, rad/s) that holds for some seconds."""
 
     vx: float
@@ -104,8 +75,7 @@ STOP = Leg(0.0, 0.0, 0.0, 1.0)
 SLIDES, ROLLS, SLIPS = "slides", "rolls", "slips"
 
 
-@dataclass(frozen=True)
-class Drive:
+class Drive(NamedTuple):
     """A robot and its legs. `changes` are made in its text; `moves` says in which way it moves.
 
     `height` is that of its frame at rest (m), `heading` in degrees; `turned` lists by how much that
@@ -115,13 +85,13 @@ class Drive:
 
     name: str
     robot: str
-    legs: Tuple[Leg, ...]
+    legs: tuple
     moves: str
     heading: float = 0.0
     height: float = 0.0
-    changes: Sequence[Sequence[str]] = ()
+    changes: tuple = ()
     judged: int = 99
-    turned: Sequence[float] = (0.0,)
+    turned: tuple = (0.0,)
 
     def name_at(self, heading):
         """Return the name of its figures when its heading is turned by some degrees."""

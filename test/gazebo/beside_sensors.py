@@ -4,8 +4,6 @@ Both stand; the one with the sensors turns, stops, and pushes a crate. The figur
 last message on each topic, field by field, in each part.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from pathlib import Path

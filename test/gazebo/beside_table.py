@@ -1,20 +1,17 @@
 """Figures of two simulators side by side, and what may lie between them."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
 import re
 from collections import Counter
-from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Optional
+from typing import NamedTuple
 
 import numpy as np
 import yaml
-from beside_scenarios import ROLLS, SLIDES, SLIPS, Figure, Played, motions, name_of
+from beside_scenarios import ROLLS, SLIDES, SLIPS, Played, motions, name_of
 
 WIDEST = 36
 """Characters of a figure in the table."""
@@ -23,8 +20,7 @@ OK, FAILED, TOLD, UNKNOWN = "ok", "FAIL", "told", "not known"
 """Verdicts: the last two are of figures that have no limit, or that Gazebo's data lacks."""
 
 
-@dataclass(frozen=True)
-class Allowed:
+class Allowed(NamedTuple):
     """How far a figure may be from Gazebo's: a share of it, or an amount if that is more."""
 
     share: float = 0.0
@@ -34,8 +30,7 @@ class Allowed:
         return f"{100 * self.share:g} %" if self.share else f"{self.within:g}"
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A figure of a scenario: in Gazebo and here, and what may lie between.
 
     `apart` is how far they are from each other, in what is allowed: 1 at the limit.
@@ -43,10 +38,10 @@ class Row:
 
     scenario: str
     quantity: str
-    gazebo: Optional[Figure]
-    here: Optional[Figure]
+    gazebo: object
+    here: object
     allowed: str
-    apart: Optional[float]
+    apart: float
     verdict: str
 
 
@@ -161,9 +156,7 @@ def text_of(value):
 def as_csv(rows):
     """Return all rows as CSV, with a header."""
     stream = StringIO()
-    writer = csv.DictWriter(stream, list(Row.__dataclass_fields__), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(map(asdict, rows))
+    csv.writer(stream, lineterminator="\n").writerows([Row._fields, *rows])
     return stream.getvalue()
 
 

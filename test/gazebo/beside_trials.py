@@ -1,7 +1,5 @@
 """Short scenarios with boxes, balls and joints, each a function that plays it on a stage."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from pathlib import Path

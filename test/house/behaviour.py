@@ -5,8 +5,6 @@ plugins. With --live also the topics and services of a running bridge and its no
 DIR also the files in a folder of results, the columns of its tables and the keys of its summaries.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import importlib

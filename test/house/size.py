@@ -3,8 +3,6 @@
 Tokens are names, operators, numbers and strings; comments and docstrings do not count.
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 import tokenize

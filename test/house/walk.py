@@ -4,17 +4,14 @@ twist: from cmd_vel to the row in paths.csv, through the bridge, noisy_odom and 
 image: from the camera to the decision of docking, through the bridge, aruco and dock.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Tuple
+from typing import NamedTuple
 
 PACKAGE = Path(__file__).resolve().parents[2]
 LIBRARY = "src/bullet_lab/"
@@ -22,12 +19,11 @@ LIBRARY = "src/bullet_lab/"
 START_SECONDS, TRACE_SECONDS = 120.0, 5.0
 
 
-@dataclass(frozen=True)
-class Walk:
+class Walk(NamedTuple):
     """A job, the executables that the message passes through, and seconds before the trace."""
 
-    job: Tuple[str, ...]
-    executables: Tuple[str, ...]
+    job: tuple
+    executables: tuple
     after: float
 
 

@@ -18,5 +18,5 @@ def test_a_soak_of_a_minute(tmp_path):
     assert summary["hours"] >= 0.98 / 60
     assert summary["done"]
     with (tmp_path / "samples.csv").open() as file:
-        assert {row["segment"] for row in csv.DictReader(file)} == {"1", "2"}
+        assert {float(row["segment"]) for row in csv.DictReader(file)} == {1.0, 2.0}
     assert (tmp_path / "soak.png").stat().st_size

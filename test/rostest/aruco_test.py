@@ -5,11 +5,10 @@ import sys
 
 import numpy as np
 import rospy
-import rostest
 from bullet_lab.msg import MarkerDetectionArray
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from lab_testing import PACKAGE, NodeTest, wait_for
+from lab_testing import PACKAGE, NodeTest, run_tests, wait_for
 from sensor_msgs.msg import CameraInfo, Image
 
 # The exact images of the unit tests.
@@ -97,5 +96,4 @@ class ArucoTest(NodeTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("aruco_test")
-    rostest.rosrun("bullet_lab", "aruco_test", "__main__")
+    run_tests()

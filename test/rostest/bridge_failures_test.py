@@ -5,8 +5,7 @@ import signal
 import sys
 import unittest
 
-import rostest
-from lab_testing import Master, Node, Process, wait_for
+from lab_testing import Master, Node, Process, run_tests, wait_for
 
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
 
@@ -140,4 +139,4 @@ class FailuresTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "bridge_failures_test", "__main__")
+    run_tests(node=False)

@@ -68,14 +68,14 @@ def at(x, y, z, yaw=0.0):
     return Pose(Point(x, y, z), Quaternion(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
 
 
-def state_of(name, frame=""):
+def state_of(name):
     """A model's state."""
-    return call("/gazebo/get_model_state", GetModelState, name, frame)
+    return call("/gazebo/get_model_state", GetModelState, name, "")
 
 
-def place_of(name, frame=""):
+def place_of(name):
     """Where a model is."""
-    position = state_of(name, frame).pose.position
+    position = state_of(name).pose.position
     return position.x, position.y, position.z
 
 
@@ -86,9 +86,9 @@ def spawn(name, xml, pose=None, namespace="", frame="", service="spawn_sdf_model
     return call(f"/gazebo/{service}", SpawnModel, name, xml, namespace, pose, frame)
 
 
-def twist(vx=0.0, vy=0.0, wz=0.0):
+def twist(vx=0.0, wz=0.0):
     """A command in m/s and rad/s."""
-    return Twist(Vector3(vx, vy, 0.0), Vector3(0.0, 0.0, wz))
+    return Twist(Vector3(vx, 0.0, 0.0), Vector3(0.0, 0.0, wz))
 
 
 def hears():

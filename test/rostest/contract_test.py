@@ -1,14 +1,10 @@
 #!/usr/bin/env python3
 """The contract holds for the bridge; test/unit/contract shows where each kind of its rows fails."""
 
-import os
-import subprocess
 import sys
 import unittest
 
-import rospy
-import rostest
-from lab_testing import PACKAGE, PATIENCE, Master, Node, wait_for
+from lab_testing import PACKAGE, PATIENCE, Master, Node, Process, run_tests, wait_for
 
 sys.path.insert(0, str(PACKAGE / "test" / "contract"))
 from contract_run import FAILED, NOT_JUDGED  # noqa: E402
@@ -26,23 +22,12 @@ class BridgeContractTest(unittest.TestCase):
         wait_for(lambda: master.offers("/bullet_lab/advance"), lambda: bridge.err)
         # All of it; and a chapter can be repeated.
         for words, most in (((), 300), (("--only", "bumper/"), 10), (("--only", "bumper/"), 10)):
-            run = subprocess.run(
-                [sys.executable, str(PROGRAM), *words],
-                env=dict(os.environ, ROS_MASTER_URI=master.uri),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                timeout=2 * PATIENCE,
-            )
-            lines = run.stdout.splitlines()
+            run = Process(sys.executable, str(PROGRAM), *words, ROS_MASTER_URI=master.uri)
+            status, lines = run.wait(2 * PATIENCE), run.out.splitlines()
             self.assertEqual([line for line in lines if line.startswith((FAILED, NOT_JUDGED))], [])
-            self.assertEqual(run.returncode, 0, run.stdout[-2000:])
+            self.assertEqual(status, 0, run.said[-2000:])
             self.assertGreater(len(lines), most)
 
 
-def setUpModule():
-    rospy.init_node("contract_test")
-
-
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "contract_test", "__main__")
+    run_tests()

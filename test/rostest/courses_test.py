@@ -7,9 +7,8 @@ import unittest
 from concurrent.futures import ThreadPoolExecutor
 
 import rosgraph
-import rostest
 import yaml
-from lab_testing import PACKAGE, Master, Process, wait_for
+from lab_testing import PACKAGE, Master, Process, run_tests, wait_for
 
 from bullet_lab.ros.record.robot_parts import COLOURS, failures_in, reason_in
 
@@ -122,4 +121,4 @@ class CoursesTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "courses_test", CoursesTest)
+    run_tests(node=False)

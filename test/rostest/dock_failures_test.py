@@ -5,12 +5,11 @@ import math
 import signal
 
 import rospy
-import rostest
 from actionlib import GoalStatus, SimpleActionClient
 from actionlib_msgs.msg import GoalStatusArray
 from bullet_lab.msg import DockAction, DockGoal, DockResult, UndockAction, UndockGoal
 from geometry_msgs.msg import PoseStamped, Twist
-from lab_testing import Node, NodeTest, Topic, transform, wait_for
+from lab_testing import Node, NodeTest, Topic, run_tests, transform, wait_for
 from standin import DockStandIn
 from tf2_msgs.msg import TFMessage
 
@@ -80,13 +79,18 @@ class DockFailuresTest(NodeTest):
         wait_for(lambda: self.is_over(client) and client.get_result(), "a result")
         return client.get_result()
 
-    def assert_failed(self, code, words, result=None):
-        result = result or self.result()
+    def assert_failed(self, code, words):
+        result = self.result()
         self.assertFalse(result.success)
         self.assertEqual(code, result.error_code, result.message)
         self.assertIn(words, result.message)
         self.assertNotIn("\n", result.message)
         self.robot.assert_stands()
+
+    def approach(self):
+        """Send a goal, and wait until the robot drives to the dock."""
+        self.send()
+        self.wait_until_approaching()
 
     def wait_until_approaching(self):
         wait_for(lambda: APPROACHING in self.states, "the approach")
@@ -108,20 +112,17 @@ class DockFailuresTest(NodeTest):
     # Failures during the docking
 
     def test_time_set_back(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         self.robot.set_time(rospy.Time(0, 500_000_000))
         self.assert_failed(DockResult.UNKNOWN, "set back")
         # A new goal is pursued as ever, and both actions say how their goals stand.
         for action in ("dock", "undock"):
             self.topic(f"{action}/status", GoalStatusArray).wait(2)
         self.setUp()
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
 
     def test_transforms_from_after_the_end_of_time(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         sender = rospy.Publisher("/tf", TFMessage, queue_size=1)
         self.addCleanup(sender.unregister)
         wait_for(lambda: sender.get_num_connections() >= 1, "the node")
@@ -134,8 +135,7 @@ class DockFailuresTest(NodeTest):
     # Whoever wants it
 
     def test_preempted_it_stops_at_once(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         before = len(self.commands.messages)
         self.dock.cancel_goal()
         self.assert_failed(DockResult.PREEMPTED, "on request")
@@ -145,8 +145,7 @@ class DockFailuresTest(NodeTest):
         self.assertFalse(any(moves[moves.index(False) :]))
 
     def test_the_two_actions_exclude_each_other(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         self.undock.send_goal(UndockGoal(0.2))
         result = self.result()
         self.assertEqual(DockResult.PREEMPTED, result.error_code)
@@ -188,8 +187,7 @@ class DockFailuresTest(NodeTest):
 
     # Last, as the node ends.
     def test_z_whoever_ends_the_node_the_robot_stops(self):
-        self.send()
-        self.wait_until_approaching()
+        self.approach()
         self.shared.signal(signal.SIGINT)
         self.assert_ends_well(self.shared)
         wait_for(lambda: not self.commands.messages[-1].linear.x, "the stop")
@@ -198,5 +196,4 @@ class DockFailuresTest(NodeTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("dock_failures_test")
-    rostest.rosrun("bullet_lab", "dock_failures_test", "__main__")
+    run_tests()

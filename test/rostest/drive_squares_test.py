@@ -7,10 +7,8 @@ import signal
 import xmlrpc.client
 
 import rosgraph
-import rospy
-import rostest
 from geometry_msgs.msg import Twist
-from lab_testing import NodeTest, advertised, wait_for
+from lab_testing import NodeTest, advertised, run_tests, wait_for
 from standin import RobotStandIn
 
 ROBOT = "package://bullet_lab/urdf/block_robot.urdf"
@@ -42,6 +40,11 @@ class DriveSquaresTest(NodeTest):
         wait_for(lambda: is_driving() or not node.runs(), lambda: f"commands; {node.err}")
         self.assertTrue(node.runs(), node.err)
 
+    def end(self, node, number=signal.SIGINT):
+        """Send a node a signal, of which it ends without a word."""
+        node.signal(number)
+        self.assertEqual((0, ""), (node.wait(), node.err))
+
     def is_stopped(self):
         return velocities(self.commands)[-1] == (0.0, 0.0)
 
@@ -56,8 +59,7 @@ class DriveSquaresTest(NodeTest):
         self.robot(0.1)
         node = self.start(cmd_vel="robot/cmd_vel")
         self.wait_until_driving(node)
-        node.signal()
-        self.assertEqual((0, ""), (node.wait(), node.err))
+        self.end(node)
         self.assert_stopped()
         self.assertEqual((0.2, 0.0), velocities(self.commands)[0])
         self.assertEqual([], elsewhere.messages)
@@ -66,8 +68,7 @@ class DriveSquaresTest(NodeTest):
         self.robot(0.05)
         node = self.start(mode="closed_loop")
         self.wait_until_driving(node)
-        node.signal(signal.SIGTERM)
-        self.assertEqual((0, ""), (node.wait(), node.err))
+        self.end(node, signal.SIGTERM)
         # Long before the end of the square.
         self.assertNotIn("side 2", node.out)
         self.assert_stopped()
@@ -76,8 +77,7 @@ class DriveSquaresTest(NodeTest):
         self.commands.close()
         node = self.start()
         wait_for(lambda: advertised("/cmd_vel") or not node.runs(), "the publisher of cmd_vel")
-        node.signal()
-        self.assertEqual((0, ""), (node.wait(), node.err))
+        self.end(node)
 
     def test_odometry_that_pauses_delays_the_robot_and_its_end_is_an_error(self):
         robot = self.robot(0.05)
@@ -118,9 +118,5 @@ class DriveSquaresTest(NodeTest):
         self.assert_stopped()
 
 
-def setUpModule():
-    rospy.init_node("drive_squares_test")
-
-
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "drive_squares_test", "__main__")
+    run_tests()

@@ -2,11 +2,8 @@
 """The robot drives to goals in any frame, and stands still whatever goes wrong."""
 
 import math
-import sys
 
 import rospy
-import rostest
-import tf2_ros
 from actionlib import SimpleActionClient
 from actionlib_msgs.msg import GoalID, GoalStatus
 from geometry_msgs.msg import PoseStamped, Twist
@@ -17,6 +14,7 @@ from lab_testing import (
     Topic,
     odometry,
     publisher,
+    run_tests,
     transform,
     wait_for,
 )
@@ -101,6 +99,10 @@ class GoalTest(NodeTest):
         active = self.wait_for_status(GoalStatus.ACTIVE, number + 1)
         self.wait_until_driving()
         return active
+
+    def drive_far(self):
+        """Drive to a goal that is not reached before long."""
+        self.drive_to(goal(FAR, 0.0))
 
     def wait_until_driving(self):
         wait_for(lambda: self.velocity()[0] > 0.1, "the robot to drive")
@@ -190,17 +192,14 @@ class DriveToGoalTest(GoalTest):
         )
 
     def test_goals_in_other_frames(self):
-        broadcaster = tf2_ros.StaticTransformBroadcaster()
-        self.addCleanup(broadcaster.pub_tf.unregister)
         # The odometry's origin is at (2, 1) on the map, turned by 90 degrees.
-        broadcaster.sendTransform(transform("map", "odom", (2.0, 1.0, 0.0), QUARTER_TURN))
-        wait_for(lambda: broadcaster.pub_tf.get_num_connections(), "the node to listen")
+        self.broadcast(transform("map", "odom", (2.0, 1.0, 0.0), QUARTER_TURN))
         self.goals.publish(goal(2.0, 1.6, math.pi / 2, "/map"))
         self.wait_for_status(GoalStatus.SUCCEEDED)
         self.assert_at(0.6, 0.0, 0.0)
 
     def test_what_cannot_be_driven_to_is_refused_and_the_old_goal_goes_on(self):
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         bad = {
             "no frame_id": goal(1.0, 0.0, frame=""),
             "no transform from 'mars' to 'odom'": goal(1.0, 0.0, frame="mars"),
@@ -217,7 +216,7 @@ class DriveToGoalTest(GoalTest):
         self.assertNotIn("Traceback", self.driver.err)
 
     def test_cancelling(self):
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         # Not about this goal.
         self.drive.cancels.publish(GoalID(id="another"))
         self.robot.wait(0.5)
@@ -254,7 +253,7 @@ class DriveToGoalTest(GoalTest):
         self.assert_ends(client, GoalStatus.ABORTED, why)
         self.assertIn(why, self.wait_for_status(GoalStatus.REJECTED).text)
         # The robot stands still as well if it was on its way to another goal.
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         client.send_goal(MoveBaseGoal(goal(1.0, 0.0, frame="mars")))
         wait_for(lambda: self.velocity() == (0.0, 0.0), "a stop")
         client.cancel_goal()
@@ -264,7 +263,7 @@ class DriveToGoalTest(GoalTest):
 
     def test_the_goal_that_comes_last_counts_whatever_its_stamp(self):
         goals = self.publisher("move_base/goal", MoveBaseActionGoal)
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         late = MoveBaseActionGoal(goal=MoveBaseGoal(goal(0.2, 0.0)))
         late.goal_id.id, late.goal_id.stamp = "late", rospy.Time(1)
         goals.publish(late)
@@ -280,7 +279,7 @@ class DriveToGoalTest(GoalTest):
         self.assert_at(1.0, 0.0)
 
     def test_bad_odometry_is_refused_and_the_end_of_the_goal(self):
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         self.robot.says = lambda seconds, *_: odometry(seconds, math.nan)
         lost = self.wait_for_status(GoalStatus.ABORTED)
         self.assertEqual("no odometry on odom for 20 s", lost.text)
@@ -289,7 +288,7 @@ class DriveToGoalTest(GoalTest):
 
     # Last, as the node ends.
     def test_z_ctrl_c_stops_the_robot(self):
-        self.drive_to(goal(FAR, 0.0))
+        self.drive_far()
         self.driver.signal()
         self.assert_ends_well(self.driver)
         self.robot.assert_stands()
@@ -318,5 +317,4 @@ class NoisyOdometryTest(GoalTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("drive_to_goal_test")
-    rostest.rosrun("bullet_lab", "drive_to_goal_test", "__main__", sys.argv)
+    run_tests()

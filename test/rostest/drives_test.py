@@ -1,13 +1,11 @@
 #!/usr/bin/env python3
 """Drives on the topics that programs for them use: a Kobuki, and a car in the root namespace."""
 
-import rospy
-import rostest
 from bridge_testing import at, call, place_of, spawn, twist
 from controller_manager_msgs.srv import LoadController, SwitchController
 from geometry_msgs.msg import Twist
 from kobuki_msgs.msg import BumperEvent, MotorPower, SensorState
-from lab_testing import PACKAGE, NodeTest, wait_for
+from lab_testing import PACKAGE, NodeTest, run_tests, wait_for
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Empty
@@ -74,7 +72,7 @@ class DrivesTest(NodeTest):
         def is_zero():
             # Again, as the wheels may still slip when the first one comes.
             zero.publish()
-            return abs(odometry.messages[-1].pose.pose.position.x) < 0.01
+            return abs(odometry.position().x) < 0.01
 
         wait_for(is_zero, "the odometry")
 
@@ -83,7 +81,7 @@ class DrivesTest(NodeTest):
         begun = place_of("car")[0]
 
         def drives():
-            return odometry.wait(1)[-1].pose.pose.position.x > 0.3
+            return odometry.wait(1) and odometry.position().x > 0.3
 
         self.drive(twist(1.0), drives, "the car to drive", "drive/cmd_vel")
         speeds = [message.twist.twist.linear.x for message in odometry.messages]
@@ -92,5 +90,4 @@ class DrivesTest(NodeTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("drives_test")
-    rostest.rosrun("bullet_lab", "drives_test", DrivesTest)
+    run_tests()

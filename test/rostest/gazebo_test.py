@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import rosgraph
 import rospy
-import rostest
-import tf2_ros
 from bridge_testing import (
     ROBOT,
     BridgeCase,
@@ -31,6 +29,7 @@ from lab_testing import (
     PATIENCE,
     QUARTER_TURN,
     advertised,
+    run_tests,
     transform,
     wait_for,
 )
@@ -69,10 +68,6 @@ class GazeboCase(BridgeCase):
 
     def assert_near(self, expected, found, tolerance=1e-6):
         self.assertLess(math.dist(expected, found), tolerance, f"{found}, expected {expected}")
-
-    def assert_refused(self, said, answer):
-        self.assertFalse(answer.success)
-        self.assertRegex(answer.status_message, said)
 
 
 class GazeboTest(GazeboCase):
@@ -165,7 +160,9 @@ class GazeboTest(GazeboCase):
         self.assertEqual({"ground_plane", "block_robot", "beacon_7"}, set(models))
         self.assert_near((3.0, 1.0, 0.0), models["beacon_7"].pose.position)
         self.assertAlmostEqual(0.4, models["beacon_7"].pose.yaw, 9)
-        self.assert_refused("is not in", call("/bullet_lab/save_world", SaveWorld, "../new", False))
+        refused = call("/bullet_lab/save_world", SaveWorld, "../new", False)
+        self.assertIn("is not in", refused.status_message)
+        self.assertFalse(refused.success)
         self.assertEqual([path], list(path.parent.iterdir()))
         text = call("/bullet_lab/save_world", SaveWorld, "/nix/nix.world", True).text
         self.assertEqual(path.read_text().count("beacon_7"), text.count("beacon_7"))
@@ -261,9 +258,7 @@ class WorldTest(GazeboCase):
         self.assertEqual("beacon_4", self.place(-2.0, 3.0))
         call("/gazebo/delete_model", DeleteModel, "beacon_3")
         # In another frame, with the first free name.
-        broadcaster = tf2_ros.StaticTransformBroadcaster()
-        self.addCleanup(broadcaster.pub_tf.unregister)
-        broadcaster.sendTransform(transform("world", "map", (1.0, 0.0, 0.0), QUARTER_TURN))
+        self.broadcast(transform("world", "map", (1.0, 0.0, 0.0), QUARTER_TURN))
         self.assertEqual("beacon_3", self.place(3.0, 0.5, "map"))
         self.assert_near((0.5, 3.0, 0.0), place_of("beacon_3"))
         self.assert_near((-2.0, 3.0, 0.0), place_of("beacon_4"))
@@ -304,9 +299,5 @@ class WorldTest(GazeboCase):
         self.assertEqual(3, len(texts))
 
 
-def setUpModule():
-    rospy.init_node("gazebo_test")
-
-
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "gazebo_test", "__main__")
+    run_tests()

@@ -4,8 +4,7 @@
 import math
 import unittest
 
-import rostest
-from lab_testing import run_job
+from lab_testing import run_job, run_tests
 
 from bullet_lab.core.trajectory import read_tum
 
@@ -44,4 +43,4 @@ class GoalJobTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "goal_job_test", "__main__")
+    run_tests(node=False)

@@ -9,8 +9,7 @@ import tempfile
 import unittest
 from pathlib import Path
 
-import rostest
-from lab_testing import PACKAGE, run_job
+from lab_testing import PACKAGE, run_job, run_tests
 
 SUBMISSIONS = PACKAGE / "test" / "submissions"
 FOLDER = tempfile.TemporaryDirectory()
@@ -99,4 +98,4 @@ class GradeJobTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "grade_job_test", "__main__")
+    run_tests(node=False)

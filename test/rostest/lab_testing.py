@@ -15,9 +15,12 @@ import xmlrpc.client
 from pathlib import Path
 from typing import NamedTuple
 
+import psutil
 import rosgraph
 import rospkg
 import rospy
+import rostest
+import tf2_ros
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
 
@@ -72,6 +75,24 @@ def forget_parameters(node, master):
         xmlrpc.client.ServerProxy(master).deleteParam("/test", f"/{node}")
 
 
+def processes_with(mark):
+    """The processes that have a variable in their environment, as name=value."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        # Zombies have no environment.
+        with contextlib.suppress(OSError, psutil.Error):
+            if mark.encode() in (entry / "environ").read_bytes().split(b"\0"):
+                found.append(psutil.Process(int(entry.name)))
+    return found
+
+
+def command_of(process):
+    """The command line of a process, as far as there is one."""
+    with contextlib.suppress(psutil.Error):
+        return " ".join(process.cmdline())
+    return ""
+
+
 class Process:
     """A command that runs until it ends or is ended.
 
@@ -110,9 +131,9 @@ class Process:
         """Send a signal, Ctrl-C by default."""
         self.process.send_signal(number)
 
-    def wait(self):
+    def wait(self, seconds=PATIENCE):
         """Wait for its end and return the exit status."""
-        return self.process.wait(PATIENCE)
+        return self.process.wait(seconds)
 
     def end(self):
         """Have it end, whatever state it is in."""
@@ -120,7 +141,7 @@ class Process:
             # Not at once with SIGKILL, or the master would still know its topics and services.
             self.signal()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(PATIENCE)
+                self.wait()
         self.process.kill()
         self.process.wait()
 
@@ -232,8 +253,12 @@ class Topic:
         return self._subscriber.get_num_connections() > 0
 
     def stamps(self):
-        """The stamps of the messages so far, in ns."""
-        return [message.header.stamp.to_nsec() for message in self.messages]
+        """The stamps of the messages so far, in ms."""
+        return [message.header.stamp.to_nsec() // 1_000_000 for message in self.messages]
+
+    def position(self):
+        """The place that the last message tells, one of odometry or of a pose with covariance."""
+        return self.messages[-1].pose.pose.position
 
     def wait(self, number):
         """Wait until so many messages have come and return them all."""
@@ -259,7 +284,13 @@ def publisher(name, kind, **options):
 
 
 class NodeTest(unittest.TestCase):
-    """Nodes, topics and publishers that end with a test."""
+    """Nodes, topics, publishers and folders that end with a test."""
+
+    def new_folder(self):
+        """A temporary folder."""
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        return Path(folder.name).resolve()
 
     def node(self, script, name="", **parameters):
         """A node, see `Node`."""
@@ -278,6 +309,13 @@ class NodeTest(unittest.TestCase):
         made = publisher(name, kind, **options)
         self.addCleanup(made.unregister)
         return made
+
+    def broadcast(self, message):
+        """Send a static transform to whoever listens, one at least, for the time of this test."""
+        sender = tf2_ros.StaticTransformBroadcaster()
+        self.addCleanup(sender.pub_tf.unregister)
+        sender.sendTransform(message)
+        wait_for(sender.pub_tf.get_num_connections, "somebody to listen to transforms")
 
     def assert_ends_well(self, *nodes):
         """Assert that nodes end with status 0 and no traceback."""
@@ -302,6 +340,14 @@ def transform(parent, child, position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0)
     message.header.frame_id = parent
     message.transform = Transform(Vector3(*position), Quaternion(*turn))
     return message
+
+
+def run_tests(node=True):
+    """Run all tests of the program that was started, which is a node of its name, or none."""
+    name = Path(sys.argv[0]).stem
+    if node:
+        rospy.init_node(name)
+    rostest.rosrun("bullet_lab", name, "__main__")
 
 
 class JobRun(NamedTuple):

@@ -6,13 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-import unittest
 from pathlib import Path
 
-import rostest
-from lab_testing import wait_for
+import psutil
+from lab_testing import NodeTest, command_of, processes_with, run_tests, wait_for
 
 from bullet_lab.ros.launcher.output import environment_without_ros
 
@@ -26,7 +24,7 @@ MARK = "LAUNCHER_TEST_OUT"
 def start(folder, *words, program=LAUNCHER, **environment):
     """Start the launcher in a folder, without the master of this test."""
     out = next((word[len("out:=") :] for word in words if word.startswith("out:=")), "")
-    return subprocess.Popen(
+    return psutil.Popen(
         [*program, *words],
         cwd=folder,
         env={**environment_without_ros(), MARK: str(folder / out), **environment},
@@ -45,21 +43,13 @@ def finish(run):
 
 
 def processes_of(out):
-    """Numbers of the processes of a run: the launcher and all that it has started."""
-    mark = f"{MARK}={out}".encode()
-    found = []
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            if mark in (entry / "environ").read_bytes().split(b"\0"):
-                found.append(int(entry.name))
-        except OSError:
-            continue
-    return found
+    """The processes of a run: the launcher and all that it has started."""
+    return processes_with(f"{MARK}={out}")
 
 
 def has_begun(command):
     """Whether `env` has become the launcher; between the two, the command line is empty."""
-    return b"launcher" in command and b"block-signal" not in command
+    return "launcher" in command and "block-signal" not in command
 
 
 def is_driving(out):
@@ -68,13 +58,11 @@ def is_driving(out):
     return paths.is_file() and len(paths.read_text().splitlines()) > 2
 
 
-class LauncherTest(unittest.TestCase):
+class LauncherTest(NodeTest):
     """Each test has a folder of its own."""
 
     def setUp(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        self.folder = Path(folder.name).resolve()
+        self.folder = self.new_folder()
 
     def test_two_runs_side_by_side_succeed(self):
         runs = [start(self.folder, "squares", f"out:=it's {i}", f"seed:={i}") for i in (1, 2)]
@@ -107,8 +95,8 @@ class LauncherTest(unittest.TestCase):
         program = ("env", "--block-signal=INT", *LAUNCHER)
         for number, is_there in enumerate(
             (
-                lambda run, out: has_begun(command_of(run.pid)),
-                lambda run, out: any(b".py" in command_of(pid) for pid in processes_of(out)),
+                lambda run, out: has_begun(command_of(run)),
+                lambda run, out: any(".py" in command_of(one) for one in processes_of(out)),
                 lambda run, out: is_driving(out),
             )
         ):
@@ -141,12 +129,13 @@ class LauncherTest(unittest.TestCase):
         first, out = self.drive()
         status, _, err = finish(start(self.folder, "squares", f"out:={out}"))
         # roscpp binds its XML-RPC server to every interface, whatever it is told.
-        nodes = [pid for pid in processes_of(out) if b".py" in command_of(pid)]
-        listening = listening_addresses([first.pid, *nodes])
+        nodes = [one for one in processes_of(out) if ".py" in command_of(one)]
+        connections = [found for one in (first, *nodes) for found in one.net_connections()]
+        listening = [one.laddr.ip for one in connections if one.status == psutil.CONN_LISTEN]
         self.assertEqual(2, status)
         self.assertEqual(1, len(err.splitlines()), err)
         self.assertGreater(len(listening), 4)
-        self.assertEqual({"127.0.0.1"}, {address.rpartition(":")[0] for address in listening})
+        self.assertEqual({"127.0.0.1"}, set(listening))
         first.send_signal(signal.SIGTERM)
         status, _, err = finish(first)
         self.assertEqual(143, status, err)
@@ -155,29 +144,13 @@ class LauncherTest(unittest.TestCase):
 
     def test_dead_node_ends_the_run_with_its_status(self):
         run, out = self.drive()
-        (victim,) = [pid for pid in processes_of(out) if b"drive_squares.py" in command_of(pid)]
-        os.kill(victim, signal.SIGKILL)
+        (victim,) = [one for one in processes_of(out) if "drive_squares.py" in command_of(one)]
+        victim.kill()
         status, _, err = finish(run)
         self.assertEqual(128 + signal.SIGKILL, status)
         self.assertIn("drive_squares was killed by signal 9", err)
         self.assertEqual([], processes_of(out))
 
 
-def command_of(pid):
-    """The command line of a process."""
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
-        return b""
-
-
-def listening_addresses(pids):
-    """What these processes listen to, as address:port."""
-    lines = subprocess.run(
-        ["ss", "-ltnpH"], check=True, stdout=subprocess.PIPE, text=True
-    ).stdout.splitlines()
-    return [line.split()[3] for line in lines if any(f"pid={pid}," in line for pid in pids)]
-
-
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "launcher", LauncherTest)
+    run_tests(node=False)

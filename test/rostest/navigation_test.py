@@ -12,14 +12,13 @@ from pathlib import Path
 import rosnode
 import rospkg
 import rospy
-import rostest
 from actionlib import SimpleActionClient
 from actionlib_msgs.msg import GoalStatus
 from bullet_lab.msg import TouchedModels
 from bullet_lab.srv import SetRtf
 from gazebo_msgs.srv import GetModelState
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from lab_testing import PACKAGE, Topic, publisher, wait_for
+from lab_testing import PACKAGE, Topic, publisher, run_tests, wait_for
 from move_base_msgs.msg import MoveBaseAction, MoveBaseGoal
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
@@ -117,7 +116,7 @@ class NavigationTest(unittest.TestCase):
             sender.publish(message)
 
         def is_at(x, y):
-            found = self.pose.messages[-1].pose.pose.position
+            found = self.pose.position()
             return math.dist((found.x, found.y), (x, y)) < 0.02
 
         here = truth()
@@ -139,7 +138,7 @@ class NavigationTest(unittest.TestCase):
         process = subprocess.Popen([sys.executable, program, *words])
         try:
             wait_for(lambda: self.pose.messages, "amcl_pose")
-            found, (x, y) = self.pose.messages[-1].pose.pose.position, truth()
+            found, (x, y) = self.pose.position(), truth()
             # The world's origin is at 1, 0 of the map, turned by 0.5.
             there = (1.0 + math.cos(0.5) * x - math.sin(0.5) * y,
                      math.sin(0.5) * x + math.cos(0.5) * y)
@@ -150,4 +149,4 @@ class NavigationTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "navigation_test", NavigationTest)
+    run_tests(node=False)

@@ -8,11 +8,9 @@ import sys
 import unittest
 from pathlib import Path
 
-import rospy
-import rostest
 from bridge_testing import ROBOT
 from geometry_msgs.msg import Twist
-from lab_testing import NodeTest, offered, wait_for
+from lab_testing import NodeTest, offered, run_tests, wait_for
 from nav_msgs.msg import Odometry
 
 SIDES = 1
@@ -94,5 +92,4 @@ class RelayTest(NodeTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("relay_test")
-    rostest.rosrun("bullet_lab", "relay_test", RelayTest, sys.argv)
+    run_tests()

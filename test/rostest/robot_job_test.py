@@ -5,8 +5,7 @@ import os
 import tempfile
 import unittest
 
-import rostest
-from lab_testing import PACKAGE, run_job
+from lab_testing import PACKAGE, run_job, run_tests
 
 FOLDER = tempfile.TemporaryDirectory()
 TUTORIALS = PACKAGE / "test" / "tutorials"
@@ -143,4 +142,4 @@ class RobotJobTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "robot_job_test", "__main__")
+    run_tests(node=False)

@@ -2,21 +2,18 @@
 """Robots in one world have topics and frames of their own, and touch each other."""
 
 import json
-import tempfile
 import unittest
-from pathlib import Path
 
 import rosnode
 import rospkg
 import rospy
-import rostest
 import tf2_ros
 import yaml
 from actionlib import SimpleActionClient
 from bridge_testing import Sender, at, call, spawn, twist
 from bullet_lab.msg import DockAction, DockGoal, TouchedModels
 from bullet_lab.srv import SetNoise
-from lab_testing import PACKAGE, NodeTest, wait_for
+from lab_testing import PACKAGE, NodeTest, run_tests, wait_for
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rosgraph_msgs.msg import Log
@@ -59,8 +56,8 @@ class RobotsTest(NodeTest):
         left, right = self.topic("left/odom", Odometry), self.topic("right/odom", Odometry)
         starts = [topic.wait(1)[-1].pose.pose.position for topic in (left, right)]
         self.drive("left", -0.5)
-        wait_for(lambda: left.messages[-1].pose.pose.position.x < starts[0].x - 0.2, "left to move")
-        moved = right.messages[-1].pose.pose.position
+        wait_for(lambda: left.position().x < starts[0].x - 0.2, "left to move")
+        moved = right.position()
         self.assertAlmostEqual(starts[1].x, moved.x, delta=0.002)
 
     def test_each_says_what_it_touches(self):
@@ -77,9 +74,7 @@ class RobotsTest(NodeTest):
             )
 
     def test_nodes_run_in_a_namespace(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        out, space = Path(folder.name), {"__ns": "right"}
+        out, space = self.new_folder(), {"__ns": "right"}
         noise = self.node("noisy_odom.py", remap=space)
         about, until = "{std: 0.1, job: squares}", "drive_squares/finished"
         plot = self.node("plot_noise.py", remap=space, out=out, until=until, about=about)
@@ -134,5 +129,4 @@ class RobotsTest(NodeTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("robots_test")
-    rostest.rosrun("bullet_lab", "robots_test", "__main__")
+    run_tests()

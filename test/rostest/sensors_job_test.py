@@ -5,8 +5,7 @@ import unittest
 
 import numpy as np
 import rosbag
-import rostest
-from lab_testing import run_job
+from lab_testing import run_job, run_tests
 from mcap.reader import make_reader
 
 # Of worlds/sensors.world and urdf/sensor_robot.urdf.
@@ -57,4 +56,4 @@ class SensorsJobTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "sensors_job_test", "__main__")
+    run_tests(node=False)

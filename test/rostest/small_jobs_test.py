@@ -6,9 +6,8 @@ import unittest
 
 import cv2
 import numpy as np
-import rostest
 import yaml
-from lab_testing import run_job
+from lab_testing import run_job, run_tests
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.core.trajectory import read_tum
@@ -113,4 +112,4 @@ class JobsTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "small_jobs_test", "__main__")
+    run_tests(node=False)

@@ -4,8 +4,7 @@
 import csv
 import unittest
 
-import rostest
-from lab_testing import run_job
+from lab_testing import run_job, run_tests
 
 from bullet_lab.studies.squares import SquaresSettings, run_squares
 
@@ -53,4 +52,4 @@ class SquaresJobTest(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    rostest.rosrun("bullet_lab", "squares_job_test", "__main__")
+    run_tests(node=False)

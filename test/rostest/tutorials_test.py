@@ -8,18 +8,15 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
-import unittest
 from pathlib import Path
 
 import numpy as np
 import rospkg
 import rospy
-import rostest
 from bridge_testing import call, names, state_of
 from controller_manager_msgs.srv import ListControllers
 from gazebo_msgs.srv import GetJointProperties
-from lab_testing import PACKAGE, PATIENCE, Process, wait_for
+from lab_testing import PACKAGE, PATIENCE, NodeTest, Process, run_tests, wait_for
 from std_srvs.srv import Empty
 
 from bullet_lab.ros.launcher.output import VirtualScreen
@@ -81,7 +78,7 @@ def reconfigured(name, **settings):
     return client(name, timeout=PATIENCE).update_configuration(settings)
 
 
-class TutorialsTest(unittest.TestCase):
+class TutorialsTest(NodeTest):
     """One simulation, started by a launch file in the manner of gazebo_ros."""
 
     launch = None
@@ -163,9 +160,7 @@ class TutorialsTest(unittest.TestCase):
     # What courses' scripts were written for, beside the lab's own Python
 
     def test_debians_python_opencv_and_tf(self):
-        kept = tempfile.TemporaryDirectory()
-        self.addCleanup(kept.cleanup)
-        folder = Path(kept.name)
+        folder = self.new_folder()
         with VirtualScreen(folder / "log", folder / "screen.png"):
             status, out, err = in_course("marker_window.py")
         if "no attribute 'Dictionary_get'" in err:
@@ -243,5 +238,4 @@ class TutorialsTest(unittest.TestCase):
 
 if __name__ == "__main__":
     rospy.set_param("/use_sim_time", True)
-    rospy.init_node("tutorials_test")
-    rostest.rosrun("bullet_lab", "tutorials_test", TutorialsTest)
+    run_tests()

@@ -2,15 +2,12 @@
 """However the driver of a robot is lost, it soon stands."""
 
 import signal
-import sys
 import time
 from pathlib import Path
 
 import rospkg
-import rospy
-import rostest
 from geometry_msgs.msg import Twist
-from lab_testing import PACKAGE, Node, NodeTest, Topic, wait_for
+from lab_testing import PACKAGE, Node, NodeTest, Topic, run_tests, wait_for
 from nav_msgs.msg import Odometry
 from view_looker import Link, Looker, wait_for_url
 
@@ -48,7 +45,7 @@ class ViewStopsTest(NodeTest):
         return any(c.get("label") == "Robot" and c.get("value") == "/cmd_vel" for c in controls)
 
     def place(self):
-        position = self.odom.messages[-1].pose.pose.position
+        position = self.odom.position()
         return position.x, position.y
 
     def speed(self):
@@ -150,5 +147,4 @@ class ViewStopsTest(NodeTest):
 
 
 if __name__ == "__main__":
-    rospy.init_node("view_stops_test")
-    rostest.rosrun("bullet_lab", "view_stops_test", ViewStopsTest, sys.argv)
+    run_tests()

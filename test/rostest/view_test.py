@@ -1,15 +1,13 @@
 #!/usr/bin/env python3
 """The page shows things where they are, a user can drive, and without a page nothing is heard."""
 
-import sys
 import time
 
 import numpy as np
 import rosgraph
 import rospy
-import rostest
 from geometry_msgs.msg import PoseStamped, Twist
-from lab_testing import PACKAGE, Node, NodeTest, Process, Topic, wait_for
+from lab_testing import PACKAGE, Node, NodeTest, Process, Topic, run_tests, wait_for
 from nav_msgs.msg import Odometry
 from view_looker import Looker, wait_for_url
 from visualization_msgs.msg import Marker
@@ -19,10 +17,10 @@ ROBOT = PACKAGE / "urdf" / "sensor_robot.urdf"
 CENTIMETRE = 0.01
 
 
-def heard_by(node):
-    """Return the topics that a node subscribes to."""
+def heard():
+    """Return the topics that the view subscribes to."""
     _, subscribers, _ = rosgraph.Master("/test").getSystemState()
-    return {topic for topic, nodes in subscribers if node in nodes}
+    return {topic for topic, nodes in subscribers if "/view" in nodes}
 
 
 class ViewTest(NodeTest):
@@ -65,7 +63,7 @@ class ViewTest(NodeTest):
         wait_for(lambda: self.commands.messages[-1] == Twist(), "the robot to be stopped")
         wait_for(self.is_still, "the robot to stand")
         self.odom.wait(len(self.odom.messages) + 10)
-        place = self.odom.messages[-1].pose.pose.position
+        place = self.odom.position()
         # The page shows the newest pose when all is still.
         wait_for(lambda: self.is_seen_at(place), lambda: f"{self.see('/robots/0')} at {place}")
 
@@ -109,13 +107,12 @@ class ViewTest(NodeTest):
 
     def test_nothing_is_heard_while_nobody_looks(self):
         self.see("/robots/0")
-        self.assertIn("/tf", heard_by("/view"))
+        self.assertIn("/tf", heard())
         self.looker.close()
-        wait_for(lambda: not heard_by("/view"), lambda: str(heard_by("/view")))
+        wait_for(lambda: not heard(), lambda: str(heard()))
         self.looker = Looker(self.url)
         self.see("/robots/0")
 
 
 if __name__ == "__main__":
-    rospy.init_node("view_test")
-    rostest.rosrun("bullet_lab", "view_test", ViewTest, sys.argv)
+    run_tests()

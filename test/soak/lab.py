@@ -1,7 +1,5 @@
 """The nodes of a soak, and what they take of the machine."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What happens in a soak: models, robots, subscribers and nodes that come and go, and resets."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import signal

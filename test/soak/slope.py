@@ -1,7 +1,5 @@
 """Does something grow? A slope with its interval, from samples that are alike when near."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

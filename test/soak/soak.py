@@ -8,8 +8,6 @@ up to 64 MB. So now and then all that has come is taken away, and what the nodes
 is judged: slopes within segments, after the first quarter of each.
 """
 
-from __future__ import annotations
-
 import csv
 import itertools
 import math

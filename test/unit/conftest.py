@@ -3,6 +3,7 @@ import signal
 
 import numpy as np
 import pytest
+from alike import assert_as_before
 from shared import BLOCK_ROBOT, EMPTY_WORLD, PACKAGE
 
 from bullet_lab.drive import Square, open_loop_side
@@ -16,6 +17,12 @@ def _answered_signals():
     # background; processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+@pytest.fixture
+def as_before(request):
+    """A function that compares lines with those in a file beside the test."""
+    return lambda lines, name, **more: assert_as_before(lines, request.path.with_name(name), **more)
 
 
 @pytest.fixture(scope="session")

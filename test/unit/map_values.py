@@ -2,7 +2,11 @@
 
 import math
 
+import numpy as np
+
 from bullet_lab.navigation.occupancy import UNKNOWN
+
+CELLS = np.array([[0, 100, -1], [0, 0, 100]], dtype=np.int8)
 
 
 def value_at(grid, x, y):

@@ -28,10 +28,10 @@ def around_the_middle(picture, offset=30):
     return picture[np.ix_(rows, columns)].reshape(4, 3).astype(int)
 
 
-def checkers(columns, rows, pixels=16, dark=20, bright=235):
+def checkers(columns, rows, pixels=16):
     """A checkerboard, dark at the top left."""
     squares = np.indices((rows, columns)).sum(axis=0) % 2
-    return np.where(np.kron(squares, np.ones((pixels, pixels))), bright, dark).astype(np.uint8)
+    return np.where(np.kron(squares, np.ones((pixels, pixels))), 235, 20).astype(np.uint8)
 
 
 def write_plate(folder, name, pixels, width, height):

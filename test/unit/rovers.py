@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Tuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -40,7 +39,7 @@ class Rover:
     radius: float = 0.1
     mass: float = 8.0
     wheel_mass: float = 0.5
-    centre: Tuple[float, float, float] = (0.0, 0.0, 0.1)
+    centre: tuple = (0.0, 0.0, 0.1)
     wheel: dict = field(default_factory=dict)
     torque: float = 20.0
 

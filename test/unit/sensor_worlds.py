@@ -36,11 +36,11 @@ def carrier(gazebo="", collision="", links="", name="carrier"):
     )
 
 
-def sensor(kind, inner, plugin, tags="", link="base", name="the_sensor"):
+def sensor(kind, inner, plugin, tags="", link="base"):
     """A <gazebo> element with a sensor in it."""
     return (
-        f'<gazebo reference="{link}"><sensor type="{kind}" name="{name}">{inner}'
-        f'<plugin name="{name}_plugin" filename="{plugin}">{tags}</plugin></sensor></gazebo>'
+        f'<gazebo reference="{link}"><sensor type="{kind}" name="the_sensor">{inner}'
+        f'<plugin name="the_sensor_plugin" filename="{plugin}">{tags}</plugin></sensor></gazebo>'
     )
 
 

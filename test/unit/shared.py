@@ -5,6 +5,7 @@ import functools
 import importlib.util
 import logging
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -19,14 +20,22 @@ EMPTY_WORLD = "package://bullet_lab/worlds/empty.world"
 
 
 def module_of(path):
-    """Import a file below test/ that is no part of the package, such as "soak/slope.py"."""
+    """Import a file that is no part of the package, by its path from test/."""
     file = PACKAGE / "test" / path
-    spec = importlib.util.spec_from_file_location(f"test_{file.stem}", file)
+    spec = importlib.util.spec_from_file_location(f"file_{file.stem}", file)
     module = importlib.util.module_from_spec(spec)
     # Where its dataclasses look for it.
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+def python(code, **options):
+    """Run a program; return its status, what it prints, and its errors."""
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=300, **options
+    )
+    return run.returncode, run.stdout, run.stderr
 
 
 @contextlib.contextmanager
@@ -45,6 +54,14 @@ def complains(said):
         logger.removeHandler(handler)
     assert [line for line in messages if re.search(said, line)], messages
     assert not [line for line in messages if "\n" in line]
+
+
+@contextlib.contextmanager
+def refuses(said, kind=LabError):
+    """Check that an error is raised that says something, in one line."""
+    with pytest.raises(kind, match=said) as caught:
+        yield caught
+    assert "\n" not in str(caught.value)
 
 
 class Table(yaml.SafeLoader):

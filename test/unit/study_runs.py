@@ -17,6 +17,11 @@ def run_main(main, *words):
     return ended.value.code, said.getvalue(), errors.getvalue()
 
 
+def backwards(task, numbers):
+    """Do tasks in another order, as workers may."""
+    return [(number, task(number)) for number in reversed(numbers)]
+
+
 def names_in(folder):
     """Return the names of the files and folders in a folder."""
     return {path.name for path in folder.iterdir()}

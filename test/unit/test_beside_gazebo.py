@@ -5,7 +5,7 @@ import math
 import pytest
 from beside_direct import DirectStage
 from beside_gazebo import DEVIATE, known, main, names, play, rows_of
-from beside_scenarios import DRIVES, ROLLS, STOP, Drive, Leg, Played, Stage, motions, play_drive
+from beside_scenarios import DRIVES, ROLLS, STOP, Drive, Leg, Played, motions, play_drive
 from beside_table import (
     FAILED,
     OK,
@@ -29,11 +29,14 @@ from bullet_lab.simulation.world.description import FrameState
 LEGS = (Leg(0.2, 0.0, 0.0, 5.0), STOP, Leg(0.0, 0.0, 1.0, 5.0), Leg(0.0, 0.1, 0.0, 1.0))
 
 
-class Obedient(Stage):
+class Obedient:
     """A robot that moves exactly as commanded, and slides on for 0.1 s."""
 
     def spawn(self, text, pose):
         self.pose, self.twist = Pose((3.0, -2.0, 0.0)) * pose, (0.0, 0.0, 0.0)
+
+    def clear(self):
+        """Nothing is left."""
 
     def state(self, name):
         return FrameState(self.pose)

@@ -1,12 +1,10 @@
 """Ctrl-C while a program imports its modules, whatever these make of it."""
 
-import subprocess
-import sys
 import textwrap
 
 import pytest
 from rosgraph.network import get_bind_address
-from shared import cases
+from shared import cases, python
 
 from bullet_lab.entry import keep_to_this_machine
 
@@ -24,26 +22,20 @@ HELD_BACK = f"{IMPORTS}signal.pthread_sigmask(signal.SIG_BLOCK, {{signal.SIGINT}
 MAIN = "def main():\n    print('started')\n"
 
 
-def python(code, folder=None):
-    """Run a program in a folder; return its status and what it prints, errors at the end."""
-    run = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True)
-    return run.returncode, run.stdout + run.stderr
-
-
 @pytest.mark.parametrize(
     ("program", "job", "end"),
     [
-        (RUN, INTERRUPT + MAIN, (130, "")),
-        (RUN, CAUGHT + MAIN, (130, "")),
+        (RUN, INTERRUPT + MAIN, (130, "", "")),
+        (RUN, CAUGHT + MAIN, (130, "", "")),
         # From before Python had started.
-        (HELD_BACK + INTERRUPT + RUN, MAIN, (130, "")),
+        (HELD_BACK + INTERRUPT + RUN, MAIN, (130, "", "")),
         # main gets it again.
-        (RUN, f"def main():\n{textwrap.indent(CAUGHT, '    ')}", (0, "caught\n")),
+        (RUN, f"def main():\n{textwrap.indent(CAUGHT, '    ')}", (0, "caught\n", "")),
     ],
 )
 def test_an_interrupt_ends_a_program_that_imports(tmp_path, program, job, end):
     (tmp_path / "job.py").write_text(job)
-    assert python(program, tmp_path) == end
+    assert python(program, cwd=tmp_path) == end
 
 
 @cases("""
@@ -114,8 +106,8 @@ libc.fflush(out)
 
 def printed_with_memory_given_back(program):
     begin = "from bullet_lab.entry import give_memory_back\ngive_memory_back()\n"
-    status, printed = python(begin + MEGABYTES + program)
-    assert status == 0, printed
+    status, printed, errors = python(begin + MEGABYTES + program)
+    assert status == 0, errors
     return printed
 
 

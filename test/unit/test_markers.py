@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from shared import cases, complains
+from shared import cases, complains, refuses
 
 from bullet_lab import markers
-from bullet_lab.errors import LabError
 from bullet_lab.markers import (
     CLOSEST,
     DOT_RADIUS,
@@ -114,7 +113,7 @@ def test_the_ink_of_a_dot_is_that_of_its_disc():
 def test_too_many_dots_are_refused_rather_than_searched_for_ever(monkeypatch):
     monkeypatch.setattr("bullet_lab.markers.DOTS_PER_SQUARE_METRE", 20000.0)
     monkeypatch.setattr("bullet_lab.markers.TRIES_PER_DOT", 3)
-    with pytest.raises(LabError, match="no room for 200 dots"):
+    with refuses("no room for 200 dots"):
         scatter_dots(0.1, 0.0, np.random.default_rng(1))
 
 

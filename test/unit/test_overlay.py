@@ -1,13 +1,11 @@
 """Which packages overlay.sh builds, and what it says of the others."""
 
-import importlib.util
 import os
 from pathlib import Path
 
 import pytest
-from shared import PACKAGE, cases
+from shared import cases, module_of
 
-PROGRAM = PACKAGE / "scripts" / "setup" / "overlay.py"
 MANIFEST = """<package format="2"><name>{0}</name><version>0.1.0</version>
 <description>d</description><license>MIT</license>
 <maintainer email="a@example.org">a</maintainer>{1}</package>"""
@@ -19,9 +17,7 @@ def overlay(monkeypatch):
     """The program, as a module; without Debian's lists."""
     pytest.importorskip("catkin_pkg")
     pytest.importorskip("rospy")
-    spec = importlib.util.spec_from_file_location("overlay", PROGRAM)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = module_of("../scripts/setup/overlay.py")
     monkeypatch.setattr(module, "CONFIGURATIONS", ("/nowhere/{0}",))
     known = {"tf": "libtf-dev"}
     monkeypatch.setattr(module, "debian_package", lambda name, forms: known.get(name, ""))

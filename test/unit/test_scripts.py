@@ -7,13 +7,12 @@ import json
 import os
 import re
 import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 import yaml
-from shared import PACKAGE
+from shared import PACKAGE, python
 
 
 def test_the_lab_is_found_through_a_link_to_its_scripts(tmp_path):
@@ -87,8 +86,7 @@ def test_the_first_job_needs_only_the_packages_that_come_first():
     launched = ("nodes.bridge", "nodes.noisy_odom", "nodes.drive_squares", "record.plots")
     lines = f"import sys, importlib; sys.modules.update(dict.fromkeys({later}))\n"
     lines += f"for name in {launched}: importlib.import_module(f'bullet_lab.ros.{{name}}')"
-    run = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
+    assert python(lines) == (0, "", "")
 
 
 def test_what_a_program_imports_and_runs_is_there():

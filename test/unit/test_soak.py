@@ -14,9 +14,9 @@ slope = module_of("soak/slope.py").slope
 memory_of = module_of("soak/lab.py").memory_of
 
 
-def sawtooth(random, hours, rise, segments=1):
-    """Models that come and go: an autoregression of two minutes, on top of a steady rise."""
-    each = round(hours * 360 / segments)
+def sawtooth(random, rise, segments):
+    """Four hours of models that come and go: an autoregression of two minutes, on a rise."""
+    each = 1440 // segments
     found = []
     for segment in range(segments):
         noise = random.normal(0.0, 1.0, each)
@@ -32,7 +32,7 @@ def sawtooth(random, hours, rise, segments=1):
 @cases("segments, rise: [[1, 0.0], [2, 3.0]]")
 def test_the_interval_holds_the_rise(rise, segments):
     random = np.random.default_rng(3)
-    found = [slope(*sawtooth(random, 4.0, rise, segments)) for _ in range(300)]
+    found = [slope(*sawtooth(random, rise, segments)) for _ in range(300)]
     held = sum(one.low <= rise <= one.high for one in found)
     # 95 % of 300 are 285, with a standard deviation of 3.8; some correlation is left.
     assert 268 <= held <= 297

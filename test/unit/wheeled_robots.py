@@ -3,7 +3,6 @@
 import math
 import struct
 from dataclasses import dataclass, replace
-from typing import Tuple
 
 import numpy as np
 
@@ -29,8 +28,8 @@ class Robot:
     radius: float = 0.035
     width: float = 0.02
     separation: float = 0.16
-    centre: Tuple[float, float, float] = (-0.005, 0.0, 0.02)
-    casters: Tuple[Tuple[float, float], ...] = ((-0.08, 0.0),)
+    centre: tuple = (-0.005, 0.0, 0.02)
+    casters: tuple = ((-0.08, 0.0),)
     balls: bool = False
     wheel_tags: str = "<mu1>0.1</mu1><mu2>0.1</mu2>"
     caster_tags: str = "<mu1>0.1</mu1><mu2>0.1</mu2>"
@@ -99,9 +98,9 @@ def _caster(number, x, y, ball):
     )
 
 
-def wheel_mesh(path, radius, width, sides=64):
+def wheel_mesh(path, radius, width):
     """Write a wheel about z as an STL file."""
-    angles = np.arange(sides) * math.tau / sides
+    angles = np.arange(64) * math.tau / 64
     rim = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     low, high = -0.5 * width, 0.5 * width
     triangles = []
@@ -159,9 +158,9 @@ def _moved(poses):
     return x, y, math.degrees(sum(turns))
 
 
-def straight(model, speed, metres=1.0, **more):
-    """Drive a way at a speed (m/s)."""
-    return drive(model, PlanarCommand(vx=speed), metres / abs(speed), **more)
+def straight(model, speed, **more):
+    """Drive a metre at a speed (m/s)."""
+    return drive(model, PlanarCommand(vx=speed), 1.0 / abs(speed), **more)
 
 
 def turn(model, speed, degrees=360.0, **more):

@@ -1,10 +1,7 @@
 """Photographs that Python packages ship, as backgrounds of 640x480, and pictures without one."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
-from typing import Dict, Iterator, Optional, Tuple
 
 import cv2
 import numpy as np
@@ -21,12 +18,12 @@ _KINDS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 _LEAST_EDGE, _LEAST_SPREAD = 128, 10.0
 
 
-def photographs() -> Dict[str, np.ndarray]:
+def photographs():
     """Return the photographs by name, (480, 640) grey levels, cut to that shape in their middle."""
     return {name: _fitted(image) for name, image in originals().items()}
 
 
-def originals() -> Dict[str, np.ndarray]:
+def originals():
     """Return the photographs by name as they are, grey levels."""
     found = {}
     for package, folder in _FOLDERS:
@@ -40,7 +37,7 @@ def originals() -> Dict[str, np.ndarray]:
     return found
 
 
-def _read(path: Path) -> Optional[np.ndarray]:
+def _read(path):
     """Return a photograph; None where it is too small or too even for one."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None or min(image.shape) < _LEAST_EDGE or image.std() < _LEAST_SPREAD:
@@ -48,7 +45,7 @@ def _read(path: Path) -> Optional[np.ndarray]:
     return image
 
 
-def _fitted(image: np.ndarray) -> np.ndarray:
+def _fitted(image):
     height, width = image.shape
     scale = max(SIZE[0] / width, SIZE[1] / height)
     size = (max(SIZE[0], round(scale * width)), max(SIZE[1], round(scale * height)))
@@ -58,7 +55,7 @@ def _fitted(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(image[top : top + SIZE[1], left : left + SIZE[0]])
 
 
-def crops(image: np.ndarray, count: int, size: Tuple[int, int], seed) -> Iterator[np.ndarray]:
+def crops(image, count, size, seed):
     """Yield pieces of a photograph (width, height) px: anywhere, scaled, turned and mirrored.
 
     Args:

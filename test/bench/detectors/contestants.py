@@ -1,9 +1,6 @@
 """Detectors behind one call, each with a small grid of settings."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Mapping, Sequence, Tuple
+from typing import Callable, NamedTuple
 
 import cv2
 import numpy as np
@@ -16,31 +13,31 @@ try:
 except ImportError:
     locus = None
 
-# Of an image (h, w) grey levels: ids, and (4, 2) corners from the top left clockwise.
-Find = Callable[[np.ndarray], List[Tuple[int, np.ndarray]]]
+
+class Contestant(NamedTuple):
+    """A detector of 36h11, and the settings of which the best are taken.
+
+    `make` takes settings, and returns what finds markers in an image (h, w) of grey levels:
+    ids, and (4, 2) corners from the top left clockwise.
+    """
+
+    make: Callable
+    grid: list
 
 
-@dataclass(frozen=True)
-class Contestant:
-    """A detector of 36h11, and the settings of which the best are taken."""
-
-    make: Callable[[Mapping[str, Any]], Find]
-    grid: Sequence[Mapping[str, Any]]
-
-
-def _ours(settings: Mapping[str, Any]) -> Find:
+def _ours(settings):
     detector = MarkerDetector(DetectorSettings("apriltag_36h11", **settings))
     return lambda image: [(m.id, m.corners) for m in detector.detect(image).markers]
 
 
-def _opencv(settings: Mapping[str, Any]) -> Find:
+def _opencv(settings):
     parameters = cv2.aruco.DetectorParameters()
     for name, value in settings.items():
         setattr(parameters, name, value)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     detector = cv2.aruco.ArucoDetector(dictionary, parameters)
 
-    def find(image: np.ndarray) -> List[Tuple[int, np.ndarray]]:
+    def find(image):
         corners, ids, _ = detector.detectMarkers(image)
         numbers = [] if ids is None else ids.ravel().tolist()
         return [(number, four[0].astype(float)) for number, four in zip(numbers, corners)]
@@ -51,7 +48,7 @@ def _opencv(settings: Mapping[str, Any]) -> Find:
 class AprilTag36h11(AprilTagDetector):
     """Theirs frees its family before the detector that still uses it, and now and then crashes."""
 
-    def __init__(self, **settings: Any):
+    def __init__(self, **settings):
         super().__init__(families="tag36h11", nthreads=1, **settings)
 
     def __del__(self):
@@ -59,10 +56,10 @@ class AprilTag36h11(AprilTagDetector):
         self.libc.tag36h11_destroy(self.tag_families["tag36h11"])
 
 
-def _april(settings: Mapping[str, Any]) -> Find:
+def _april(settings):
     detector = AprilTag36h11(**settings)
 
-    def find(image: np.ndarray) -> List[Tuple[int, np.ndarray]]:
+    def find(image):
         # Its pixels are numbered at their corners; its markers' corners begin at OpenCV's upper
         # right and run counter-clockwise.
         return [(t.tag_id, t.corners[[1, 0, 3, 2]] - 0.5) for t in detector.detect(image)]
@@ -70,11 +67,11 @@ def _april(settings: Mapping[str, Any]) -> Find:
     return find
 
 
-def _locus(settings: Mapping[str, Any]) -> Find:
+def _locus(settings):
     families = [locus.TagFamily.AprilTag36h11]
     detector = locus.Detector(threads=1, families=families, **settings)
 
-    def find(image: np.ndarray) -> List[Tuple[int, np.ndarray]]:
+    def find(image):
         # Its pixels are numbered at their corners.
         found = detector.detect(image)
         corners = np.asarray(found.corners, dtype=float) - 0.5
@@ -116,6 +113,6 @@ if hasattr(locus, "DetectionBatch"):
     )
 
 
-def described(settings: Mapping[str, Any]) -> Dict[str, Any]:
+def described(settings):
     """Return settings for a report; the defaults go by that name."""
     return dict(settings) or {"settings": "defaults"}

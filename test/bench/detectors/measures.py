@@ -1,20 +1,17 @@
 """What is measured of the detectors, in pieces that any process can do."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import time
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from detectors.backgrounds import crops, originals, photographs
-from detectors.contestants import CONTESTANTS, Find
-from detectors.scenes import CAMERA, SIZE, Conditions, Scene, draw_scene
+from detectors.contestants import CONTESTANTS
+from detectors.scenes import CAMERA, SIZE, Conditions, draw_scene
 from scipy.stats import chi2
 
 import bullet_lab.vision
@@ -24,7 +21,7 @@ from bullet_lab.vision.marker_pose import estimate_pose
 DISTANCES = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 ANGLES = (0.0, 20.0, 40.0, 60.0)
 # Levels of the conditions of these names.
-STRESSES: Dict[str, Tuple[float, ...]] = {
+STRESSES = {
     "motion": (3.0, 7.0, 10.0, 13.0),
     "blur": (1.0, 1.5, 2.0, 3.0),
     "noise": (5.0, 10.0, 20.0),
@@ -41,7 +38,7 @@ BOUNDS = (0.005, 0.995)
 CROPS_AT_ONCE = 250
 
 
-def cells() -> List[Tuple[str, Conditions]]:
+def cells():
     """Return all conditions with their names."""
     found = [
         (f"{d:g} m, {a:g} deg", Conditions(distance=d, angle=a)) for d in DISTANCES for a in ANGLES
@@ -51,7 +48,7 @@ def cells() -> List[Tuple[str, Conditions]]:
     return found
 
 
-def right(scene: Scene, found: Sequence[Tuple[int, np.ndarray]]) -> Optional[np.ndarray]:
+def right(scene, found):
     """Return the corners of the scene's marker as it was found, or None."""
     side = float(np.linalg.norm(scene.corners[0] - scene.corners[2])) / math.sqrt(2.0)
     for marker, corners in found:
@@ -60,7 +57,7 @@ def right(scene: Scene, found: Sequence[Tuple[int, np.ndarray]]) -> Optional[np.
     return None
 
 
-def measured(find: Find, scenes: Sequence[Scene]) -> Dict[str, Any]:
+def measured(find, scenes):
     """Return what a detector finds in pictures, how well, and how fast."""
     times, errors, poses = [], [], []
     for scene in scenes:
@@ -82,11 +79,11 @@ def measured(find: Find, scenes: Sequence[Scene]) -> Dict[str, Any]:
     }
 
 
-def _median(values: Sequence[float]) -> Optional[float]:
+def _median(values):
     return float(np.median(values)) if len(values) else None
 
 
-def consistency(settings: Mapping[str, Any], scenes: Sequence[Scene]) -> Dict[str, Any]:
+def consistency(settings, scenes):
     """Return the NEES of our poses (mean over 6 degrees of freedom) and its 99 % bounds.
 
     Poses of which the other one is nearer to the truth are flips, which are counted apart.
@@ -120,8 +117,7 @@ def consistency(settings: Mapping[str, Any], scenes: Sequence[Scene]) -> Dict[st
     }
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """All that is measured: `cells()`, then crops of the photographs in turn.
 
     Attributes:
@@ -134,13 +130,13 @@ class Plan:
     scenes: int
     crops: int
     seed: int
-    settings: Mapping[str, Mapping[str, Any]]
+    settings: dict
 
-    def tasks(self) -> int:
+    def tasks(self):
         """Return the number of tasks."""
         return len(cells()) + -(-self.crops // CROPS_AT_ONCE)
 
-    def key(self) -> str:
+    def key(self):
         """Return what is the same where results are: the plan's and the sources' digest."""
         digest = hashlib.sha256(repr(self).encode())
         for folder in (*bullet_lab.vision.__path__, Path(__file__).parent):
@@ -148,12 +144,12 @@ class Plan:
                 digest.update(path.read_bytes())
         return digest.hexdigest()
 
-    def finders(self) -> Dict[str, Find]:
+    def finders(self):
         """Return the detectors with their settings."""
         return {name: one.make(self.settings[name]) for name, one in CONTESTANTS.items()}
 
 
-def do(plan: Plan, number: int) -> Dict[str, Any]:
+def do(plan, number):
     """Do a task of a plan and return its figures by detector."""
     cv2.setNumThreads(1)
     chosen = cells()
@@ -164,7 +160,7 @@ def do(plan: Plan, number: int) -> Dict[str, Any]:
         return found
     chunk = number - len(chosen)
     images = list(_originals().values())
-    tally: Dict[str, Any] = dict.fromkeys(CONTESTANTS, 0)
+    tally = dict.fromkeys(CONTESTANTS, 0)
     finders = plan.finders()
     seed = [plan.seed, 3, chunk]
     for crop in crops(images[chunk % len(images)], CROPS_AT_ONCE, CROP, seed):
@@ -173,7 +169,7 @@ def do(plan: Plan, number: int) -> Dict[str, Any]:
     return {"photograph": chunk % len(images), **tally}
 
 
-def scene(conditions: Conditions, *seed: int) -> Scene:
+def scene(conditions, *seed):
     """Return a picture of a marker before one of the photographs."""
     return draw_scene(conditions, list(_photographs().values()), seed)
 

@@ -1,27 +1,21 @@
 """Detectors on a folder of photographs, of which nothing is known: their consensus is the truth."""
 
-from __future__ import annotations
-
 import time
-from pathlib import Path
-from typing import Any, Callable, Dict, List, Mapping, Sequence, Tuple
 
 import cv2
 import numpy as np
 
-# What a detector found: id, and (4, 2) corners.
-Found = Sequence[Tuple[int, np.ndarray]]
 _KINDS = (".jpg", ".jpeg", ".png", ".bmp", ".pgm", ".pnm", ".tif", ".tiff")
 # Two findings are of one marker if their middles are nearer than this part of a diagonal.
 _NEAR = 0.25
 
 
-def pictures(folder: Path) -> List[Path]:
+def pictures(folder):
     """Return the pictures in a folder and the folders in it."""
     return sorted(path for path in folder.rglob("*") if path.suffix.lower() in _KINDS)
 
 
-def consensus(found: Mapping[str, Found]) -> List[Dict[str, np.ndarray]]:
+def consensus(found):
     """Return the markers of a picture, each as the corners by the detectors that found it.
 
     >>> square = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
@@ -29,7 +23,7 @@ def consensus(found: Mapping[str, Found]) -> List[Dict[str, np.ndarray]]:
     >>> [sorted(marker) for marker in both]
     [['a', 'b'], ['b']]
     """
-    markers: List[Tuple[int, Dict[str, np.ndarray]]] = []
+    markers = []
     for name, each in found.items():
         for number, corners in each:
             for other, by in markers:
@@ -44,15 +38,13 @@ def consensus(found: Mapping[str, Found]) -> List[Dict[str, np.ndarray]]:
     return [by for _, by in markers]
 
 
-def on_photos(
-    folder: Path, finders: Mapping[str, Callable[[np.ndarray], Found]]
-) -> Dict[str, Dict[str, Any]]:
+def on_photos(folder, finders):
     """Return figures by detector: found of those that two or more found, found alone, corners, ms.
 
     Corners are compared with the median of the other detectors', where there are two.
     """
-    times: Dict[str, List[float]] = {name: [] for name in finders}
-    markers: List[Dict[str, np.ndarray]] = []
+    times = {name: [] for name in finders}
+    markers = []
     for path in pictures(folder):
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
@@ -77,10 +69,10 @@ def on_photos(
     }
 
 
-def _off(by: Mapping[str, np.ndarray], name: str) -> float:
+def _off(by, name):
     others = np.median([corners for other, corners in by.items() if other != name], axis=0)
     return float(np.linalg.norm(by[name] - others, axis=1).max())
 
 
-def _median(values: Sequence[float]) -> float:
-    return float(np.median(values)) if len(values) else float("nan")
+def _median(values):
+    return float(np.median(values)) if len(values) else None

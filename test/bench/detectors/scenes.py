@@ -1,10 +1,7 @@
 """Renderings of a marker on photographs, of which everything is known."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
-from typing import Sequence, Tuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,8 +21,7 @@ _MOST_SAMPLES, _MOST_POINTS = 16, 1.5e6
 _UNIT = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 
 
-@dataclass(frozen=True)
-class Conditions:
+class Conditions(NamedTuple):
     """How a marker is seen.
 
     Attributes:
@@ -49,8 +45,7 @@ class Conditions:
     glare: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(NamedTuple):
     """A picture of one marker.
 
     Attributes:
@@ -68,9 +63,7 @@ class Scene:
     translation: np.ndarray
 
 
-def draw_scene(
-    conditions: Conditions, backgrounds: Sequence[np.ndarray], seed: Sequence[int]
-) -> Scene:
+def draw_scene(conditions, backgrounds, seed):
     """Draw pose, marker, light and background at random, and take the picture.
 
     Args:
@@ -106,7 +99,7 @@ def draw_scene(
     return Scene(image, marker, corners, rotation, translation)
 
 
-def paint(canvas: np.ndarray, cells: np.ndarray, outline: np.ndarray) -> None:
+def paint(canvas, cells, outline):
     """Paint square cells (n, n) into (h, w), each pixel the mean of what it sees of them.
 
     Args:
@@ -136,7 +129,7 @@ def paint(canvas: np.ndarray, cells: np.ndarray, outline: np.ndarray) -> None:
     part[:] = seen[0] + (1.0 - seen[1]) * part
 
 
-def _draw_pose(conditions: Conditions, rng: np.random.Generator) -> Tuple[np.ndarray, np.ndarray]:
+def _draw_pose(conditions, rng):
     """Return a pose with the whole marker in the picture: (3, 3) and (3,)."""
     reach = 0.5 * SIZE * 1.25
     while True:
@@ -161,9 +154,7 @@ def _draw_pose(conditions: Conditions, rng: np.random.Generator) -> Tuple[np.nda
             return rotation, translation
 
 
-def _levels(
-    conditions: Conditions, canvas: np.ndarray, corners: np.ndarray, rng: np.random.Generator
-) -> Tuple[float, float]:
+def _levels(conditions, canvas, corners, rng):
     """Return grey levels of black and white around what is behind the marker."""
     spread = 255.0 * conditions.contrast
     u, v = corners.mean(axis=0).astype(int)
@@ -172,7 +163,7 @@ def _levels(
     return low, low + spread
 
 
-def _light(rng: np.random.Generator) -> np.ndarray:
+def _light(rng):
     """Return the brightness of the light over the picture, which falls off to one side."""
     slope = rng.uniform(-0.15, 0.15, 2)
     across, down = (np.linspace(-1.0, 1.0, size, dtype=np.float32) for size in CANVAS)
@@ -180,12 +171,12 @@ def _light(rng: np.random.Generator) -> np.ndarray:
 
 
 def _hide(
-    canvas: np.ndarray,
-    front: np.ndarray,
-    corners: np.ndarray,
-    share: float,
-    rng: np.random.Generator,
-) -> None:
+    canvas,
+    front,
+    corners,
+    share,
+    rng,
+):
     """Put a disc of another picture over a share of the black square, across its edge."""
     side = int(rng.integers(4))
     place = rng.uniform(0.0, 1.0)
@@ -199,7 +190,7 @@ def _hide(
     canvas += cover * (front - canvas)
 
 
-def _highlight(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _highlight(corners, rng):
     """Return a smooth highlight on a marker, 1 in its middle."""
     middle = corners.mean(axis=0)
     place = middle + rng.uniform(-0.5, 0.5) * (corners[0] - middle)
@@ -207,13 +198,13 @@ def _highlight(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.exp(-0.5 * _squared_distances(place) / np.float32(width) ** 2)
 
 
-def _squared_distances(place: np.ndarray) -> np.ndarray:
+def _squared_distances(place):
     """Return the squares of all pixels' distances from a place, px²."""
     rows, columns = np.indices(CANVAS[::-1], dtype=np.float32)
     return (columns - np.float32(place[0])) ** 2 + (rows - np.float32(place[1])) ** 2
 
 
-def _motion_kernel(length: float, direction: float) -> np.ndarray:
+def _motion_kernel(length, direction):
     """Return the kernel of a straight way of a length in px."""
     half = int(math.ceil(0.5 * length)) + 1
     fine = np.linspace(-0.5 * length, 0.5 * length, int(16 * length) + 1)

@@ -1,19 +1,18 @@
 """The command without ROS runs jobs by the names and arguments of scripts/run.sh."""
 
-import json
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from shared import cases
+from shared import PACKAGE, cases, python
+from study_runs import summary_of
 
 from bullet_lab.jobs import command
 from bullet_lab.jobs.declaration import find_jobs, read_job
 from bullet_lab.studies.squares import SquaresSettings, run_squares
 
-PACKAGE = Path(__file__).parents[3]
 JOBS = {name: job for name, job in find_jobs(PACKAGE).items() if job.program}
 STUDIES = sorted(JOBS.keys() - {"squares"})
 # A value for an argument, with what a shell would split.
@@ -78,7 +77,7 @@ def test_squares_leaves_the_files_of_the_library(monkeypatch, capsys, tmp_path):
     assert ours == theirs
     assert sorted(ours) == ["noisy_odom.tum", "odom.tum", "paths.csv", "paths.png", "summary.json"]
     assert all(f"\n  results/squares/{name}\n" in printed for name in ours)
-    summary = json.loads((tmp_path / "plain/summary.json").read_text())
+    summary = summary_of(tmp_path / "plain")
     assert (summary["seed"], summary["alpha1"], summary["finished"]) == (4, 0.02, True)
 
 
@@ -114,7 +113,4 @@ def test_listing_jobs_imports_no_study():
         "    sys.exit('rospy' in sys.modules or 'matplotlib' in sys.modules)"
     )
     path = [entry for entry in sys.path if entry]
-    done = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path[:] = {path}; {code}"], capture_output=True
-    )
-    assert done.returncode == 0
+    assert python(f"import sys; sys.path[:] = {path}; {code}")[0] == 0

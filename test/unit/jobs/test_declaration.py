@@ -3,10 +3,9 @@ from pathlib import Path
 
 import pytest
 import yaml
-from shared import cases
+from shared import PACKAGE, cases, refuses
 
 from bullet_lab.core.parameters import ParameterError
-from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import (
     Target,
     UsageError,
@@ -17,8 +16,6 @@ from bullet_lab.jobs.declaration import (
     read_assignments,
     read_job,
 )
-
-PACKAGE = Path(__file__).parents[3]
 
 TEXT = """<?xml version="1.0"?>
 <!-- Does one
@@ -75,7 +72,7 @@ def test_assignments_are_checked_and_the_last_counts(job):
 
 
 def test_argument_without_default_is_required(tmp_path):
-    with pytest.raises(UsageError, match="needs a value for std"):
+    with refuses("needs a value for std", UsageError):
         read_assignments(of_argument("", tmp_path), [])
 
 
@@ -96,7 +93,7 @@ def test_values_that_a_bracket_allows(tmp_path, doc, good, bad):
     for value in good:
         checked.check(value)
     for value in bad:
-        with pytest.raises(ParameterError, match=f"^std is '{value}': it must be "):
+        with refuses(f"^std is '{value}': it must be ", ParameterError):
             checked.check(value)
 
 
@@ -112,7 +109,7 @@ def test_a_file_is_passed_as_an_absolute_path(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["a" * 300 + ".urdf", "package://bullet_lab/" + "a" * 300])
 def test_a_name_that_is_too_long_is_refused(tmp_path, name):
     job = of_argument('default="" doc="x [file]"', tmp_path)
-    with pytest.raises(LabError, match="File name too long|a file that exists"):
+    with refuses("File name too long|a file that exists"):
         read_assignments(job, [f"std:={name}"])
 
 
@@ -125,7 +122,7 @@ doc:
   - "x [ ]"
 """)
 def test_bracket_outside_the_grammar_is_an_error(tmp_path, doc):
-    with pytest.raises(UsageError, match=r"the doc of std ends with \[.*\]; a bracket is text, "):
+    with refuses(r"the doc of std ends with \[.*\]; a bracket is text, ", UsageError):
         of_argument(f'default="1" doc="{doc}"', tmp_path)
 
 
@@ -137,12 +134,12 @@ text:
   - '<launch><arg name="a" doc="x [numbre]"/></launch>'
 """)
 def test_broken_launch_file_is_a_clear_error(tmp_path, text):
-    with pytest.raises(UsageError, match=r"a\.launch: "):
+    with refuses(r"a\.launch: ", UsageError):
         read("a", text, tmp_path)
 
 
 def test_unknown_job_is_refused_with_a_hint(job):
-    with pytest.raises(UsageError, match="no job 'thign' .did you mean 'thing'.*jobs: thing"):
+    with refuses("no job 'thign' .did you mean 'thing'.*jobs: thing", UsageError):
         choose_job({"thing": job}, "thign")
 
 
@@ -223,9 +220,8 @@ nodes, word, message:
   - [true, "speed:=x", "^speed is 'x': it must be a number$"]
 """)
 def test_wrong_words_are_refused_in_one_line(tmp_path, nodes, word, message):
-    with pytest.raises((UsageError, ParameterError), match=message) as refusal:
+    with refuses(message, (UsageError, ParameterError)):
         read_assignments(read("a", NODES if nodes else TEXT, tmp_path), [word])
-    assert "\n" not in str(refusal.value)
 
 
 def test_empty_value_stands_for_the_default_of_the_node(tmp_path):

@@ -1,6 +1,7 @@
 import os
 
 import pytest
+from shared import refuses
 
 from bullet_lab.jobs.command import OutputFolder, shown
 from bullet_lab.jobs.declaration import UsageError
@@ -10,7 +11,7 @@ def test_second_run_on_the_same_folder_is_refused_until_the_first_ends(tmp_path)
     folder = tmp_path / "a" / "b"
     with OutputFolder(folder) as out:
         (folder / "summary.json").write_text("{}")
-        with pytest.raises(UsageError, match="another run is writing"):
+        with refuses("another run is writing", UsageError):
             OutputFolder(folder).__enter__()
         # It leaves the summary of the first alone.
         assert out.has_summary()
@@ -56,7 +57,7 @@ def test_partial_files_of_a_killed_program_are_deleted(tmp_path):
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file", tmp_path / "file" / "deeper"):
-        with pytest.raises(UsageError, match=f"cannot make the folder {path}"):
+        with refuses(f"cannot make the folder {path}", UsageError):
             OutputFolder(path).__enter__()
 
 

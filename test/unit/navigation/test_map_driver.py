@@ -1,13 +1,12 @@
 """Tests of the costmap and of the drive on a map, in the engine too."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from map_values import value_at
 from numpy.testing import assert_allclose, assert_array_equal
-from shared import cases
+from shared import PACKAGE, cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.drive import STANDSTILL, DrivePhase
@@ -22,9 +21,9 @@ from bullet_lab.studies.map import MapSettings, map_world
 CELL = 0.05
 
 
-def floor(*walls, size=(4.0, 3.0), unknown=()):
-    """A map of free floor from 0, 0, but for boxes x0, y0, x1, y1 (m)."""
-    cells = np.zeros(np.rint(np.divide(size[::-1], CELL)).astype(int), dtype=np.int8)
+def floor(*walls, unknown=()):
+    """A map of 4 x 3 m of free floor from 0, 0, but for boxes x0, y0, x1, y1 (m)."""
+    cells = np.zeros((60, 80), dtype=np.int8)
     for value, boxes in ((100, walls), (-1, unknown)):
         for box in boxes:
             x0, y0, x1, y1 = np.rint(np.divide(box, CELL)).astype(int)
@@ -212,7 +211,6 @@ def test_it_drives_through_the_house_around_what_the_map_does_not_show():
 
 
 def test_the_map_beside_the_house_is_that_of_the_house():
-    folder = Path(__file__).parents[3] / "worlds"
-    found, made = read_map(folder / "house.yaml"), map_world(MapSettings())
+    found, made = read_map(PACKAGE / "worlds" / "house.yaml"), map_world(MapSettings())
     assert_array_equal(found.cells, made.cells)
     assert_allclose(found.origin, made.origin)

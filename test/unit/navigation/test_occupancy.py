@@ -4,12 +4,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
-from shared import cases
+from map_values import CELLS
+from shared import cases, refuses
 
 from bullet_lab.navigation.occupancy import MapError, OccupancyMap, read_map
 
-CELLS = np.array([[0, 100, -1], [0, 0, 100]], dtype=np.int8)
 ORIGIN = (-1.5, 2.25, 0.0)
 
 
@@ -58,7 +57,7 @@ old, new, expected:
   - ["image", "mode: scale\nimage", the mode trinary]
 """)
 def test_what_is_no_map_is_refused(tmp_path, old, new, expected):
-    with pytest.raises(MapError, match=expected):
+    with refuses(expected, MapError):
         read_map(write(tmp_path, HEAD.replace(old or HEAD, new), [[0]]))
 
 
@@ -68,5 +67,5 @@ path, expected:
   - ["", the map is '.'; it must be a YAML file]
 """)
 def test_a_file_that_is_none_is_refused(path, expected):
-    with pytest.raises(MapError, match=expected):
+    with refuses(expected, MapError):
         read_map(Path(path))

@@ -1,9 +1,8 @@
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of, lines_of_figure
+from alike import lines_of, lines_of_figure
 from shared import cases
 
 from bullet_lab.core.trajectory import Trajectory, read_tum
@@ -49,7 +48,7 @@ def drive(report, count, end=DOCKED):
         report.take("odom", Reading(STEP * number, pose))
 
 
-def test_reports_of_dockings_are_as_before(tmp_path):
+def test_reports_of_dockings_are_as_before(tmp_path, as_before):
     told = []
     for name, end, touched, error in (
         ("docked", DOCKED, {}, "NONE"),
@@ -73,7 +72,7 @@ def test_reports_of_dockings_are_as_before(tmp_path):
         told += lines_of([report.line(summary), report.has_failed(summary)], f"{name}: line")
         told += lines_of(summary, name)
         told += lines_of(read_tum(report.folder / "truth.tum").stamps[[0, -1]], f"{name}, s")
-    assert_as_before(told, Path(__file__).with_name("docks.txt"))
+    as_before(told, "docks.txt")
 
 
 def test_pictures_are_those_of_the_docking_each_with_its_state(report):
@@ -112,11 +111,11 @@ def test_sampler_are_spread_over_all_and_end_with_the_last(seen):
     assert len(sampler._kept) <= 32
 
 
-def test_the_figure_is_as_before():
+def test_the_figure_is_as_before(as_before):
     along = np.arange(0.05, 2.01, 0.05)
     truth = Trajectory(along, np.column_stack([2.0 * along, 0.2 * along, 0.0 * along]))
     states = [(0.5, "searching"), (1.0, "staging"), (1.5, "approaching")]
     walls, plan = [((3.0, 0.5), (2.0, 0.5), (2.0, 0.7), (3.0, 0.7))], [(0.0, 0.0), (3.0, 0.0)]
     station = Station(walls, DOCK, 0.16, replace(ENTRY, pose=DOCK))
     figure = docking_figure(truth, states, plan, station, "title")
-    assert_as_before(lines_of_figure(figure), Path(__file__).parent / "dock.txt")
+    as_before(lines_of_figure(figure), "dock.txt")

@@ -1,6 +1,4 @@
-from pathlib import Path
-
-from alike import assert_as_before, lines_of, lines_of_figure
+from alike import lines_of, lines_of_figure
 
 from bullet_lab.reports import Reading
 from bullet_lab.reports.goal import GoalAnswer, GoalReport
@@ -61,7 +59,7 @@ def reports(folder):
     yield told
 
 
-def test_reports_of_goals_are_as_before(tmp_path):
+def test_reports_of_goals_are_as_before(tmp_path, as_before):
     told = []
     for name, report in reports(tmp_path):
         told += lines_of([report.is_answered(), report.is_complete()], f"{name}: answered, whole")
@@ -74,7 +72,7 @@ def test_reports_of_goals_are_as_before(tmp_path):
         told += lines_of_figure(figure)
         # What is far is left out.
         told += lines_of(figure.axes[0].get_xlim(), "x")
-    assert_as_before(told, Path(__file__).with_name("goals.txt"))
+    as_before(told, "goals.txt")
 
 
 def test_how_it_ended_may_come_after_all_else(tmp_path):

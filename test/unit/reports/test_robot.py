@@ -1,12 +1,11 @@
 import itertools
 import math
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
-from alike import assert_as_before, lines_of, lines_of_figure
+from alike import lines_of, lines_of_figure
 from bullet_lab.msg import PluginDescription
 from shared import cases
 
@@ -148,7 +147,7 @@ def reports(folder):
     return cart, arm, RobotReport(folder, Robot("lamp", plugins=(WHEELS, SONAR)), KINDS)
 
 
-def test_all_that_is_told_of_a_robot_is_as_before(tmp_path):
+def test_all_that_is_told_of_a_robot_is_as_before(tmp_path, as_before):
     told = []
     for report, fails in zip(reports(tmp_path), (False, True, False)):
         report.finish()
@@ -160,7 +159,7 @@ def test_all_that_is_told_of_a_robot_is_as_before(tmp_path):
         told += [report.line(summary), *lines_of(errors, "errors")]
         assert report.has_failed(summary) == fails
         assert [leg.figures()["failed"] for leg in report.legs] == [fails] * len(report.legs)
-    assert_as_before(told, Path(__file__).with_name("robot.txt"))
+    as_before(told, "robot.txt")
 
 
 def test_the_truth_decides_while_odometry_pauses():

@@ -1,12 +1,10 @@
 import json
 import math
-from pathlib import Path
 
 import pytest
-from alike import assert_as_before, lines_of, lines_of_figure
-from shared import cases
+from alike import lines_of, lines_of_figure
+from shared import cases, refuses
 
-from bullet_lab.core.files import LabError
 from bullet_lab.reports import Reading
 from bullet_lab.reports.sensors import DISTANCES, BeaconsReport, SensorsReport
 
@@ -26,14 +24,14 @@ def recording(tmp_path):
     return found
 
 
-def test_a_report_of_sensors_is_as_before(recording, tmp_path):
+def test_a_report_of_sensors_is_as_before(recording, tmp_path, as_before):
     recording.take("bumper", Reading(200 * MS, (0, 0.0, 0.0, 0.0), ["crate", "box", "crate"]))
     figures = recording.summary(True, {})
     figure = recording.figures(figures)["sensors.png"]
     told = [*lines_of(figures, "summary"), *lines_of_figure(figure)]
     # The robot is at (0.2, 0) and looks along y: the first ray goes along x, the third along -x.
     told += lines_of(recording.scan_points(), "scan")
-    assert_as_before(told, Path(__file__).with_name("sensors.txt"))
+    as_before(told, "sensors.txt")
 
 
 def test_a_scan_before_all_odometry_is_left_out(tmp_path):
@@ -55,7 +53,7 @@ def measure(recording, stamp, pose, *distances):
         recording.take(f"{beacon}/range", Reading(stamp, (distance,)))
 
 
-def test_a_report_of_beacons_is_as_before(tmp_path):
+def test_a_report_of_beacons_is_as_before(tmp_path, as_before):
     report, told = BeaconsReport(tmp_path, BEACONS), []
 
     def tell():
@@ -80,10 +78,10 @@ def test_a_report_of_beacons_is_as_before(tmp_path):
     (tmp_path / "empty").mkdir()
     told += lines_of(BeaconsReport(tmp_path / "empty", BEACONS).summary(True, {}), "empty")
     told = [line.replace(",", " ") for line in told]
-    assert_as_before(told, Path(__file__).with_name("beacons.txt"))
+    as_before(told, "beacons.txt")
 
 
 @cases("bad: [.inf, .nan]")
 def test_distances_are_finite(tmp_path, bad):
-    with pytest.raises(LabError, match=f"^a distance of {bad}$"):
+    with refuses(f"^a distance of {bad}$"):
         BeaconsReport(tmp_path, BEACONS).take("a/range", Reading(100, (bad,)))

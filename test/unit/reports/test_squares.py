@@ -1,12 +1,11 @@
 import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of, lines_of_figure
+from alike import lines_of, lines_of_figure
 from recorded_paths import read_paths_csv
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core import se2
 from bullet_lab.core.figures import new_figure, save
@@ -34,10 +33,10 @@ def lines(recording, name):
     return (recording.folder / name).read_text().splitlines()
 
 
-def fill(recording, perfect=20, noisy=15):
-    for index in range(perfect):
+def fill(recording):
+    for index in range(20):
         recording.take("odom", Reading((index + 1) * TICK, POSES[index]))
-        if index < noisy:
+        if index < 15:
             recording.take("noisy_odom", Reading((index + 1) * TICK, POSES[-index - 1]))
 
 
@@ -54,7 +53,7 @@ def test_what_was_recorded_is_read_back_bit_for_bit(recording, finish):
         assert path.stamps.tolist() == held.stamps.tolist()
 
 
-def test_what_is_left_and_measured_is_as_before(tmp_path):
+def test_what_is_left_and_measured_is_as_before(tmp_path, as_before):
     told = []
     for name, until in (("empty", None), ("whole", None), ("cut off", 12 * TICK), ("driven", None)):
         recording = SquaresReport(tmp_path / name)
@@ -71,7 +70,7 @@ def test_what_is_left_and_measured_is_as_before(tmp_path):
         paths = recording.perfect(), *(recording.pairs() or ())
         told += lines_of([path and len(path) for path in paths], f"{name}: poses")
         told += lines_of(recording.measured(), name)
-    assert_as_before(told, Path(__file__).with_name("recorded.txt"))
+    as_before(told, "recorded.txt")
 
 
 @cases("about, shown: [[{}, 1], [{as_published: true}, 0]]")
@@ -107,10 +106,10 @@ def trajectory(count, shift=0.0):
     return Trajectory(stamps, poses)
 
 
-def test_the_figure_is_as_before():
+def test_the_figure_is_as_before(as_before):
     paths = trajectory(400), trajectory(400, shift=0.3)
     told = lines_of_figure(noise_figure(trajectory(405), paths))
-    assert_as_before(told, Path(__file__).parent / "squares.txt")
+    as_before(told, "squares.txt")
 
 
 def test_the_same_figure_is_the_same_file(tmp_path):
@@ -120,7 +119,7 @@ def test_the_same_figure_is_the_same_file(tmp_path):
         save(figure, tmp_path / name)
     first, second = (path.read_bytes() for path in tmp_path.iterdir())
     assert first == second and first.startswith(b"\x89PNG")
-    with pytest.raises(FileError, match="^cannot write "):
+    with refuses("^cannot write ", FileError):
         save(figure, tmp_path / "nix" / "a.png")
 
 

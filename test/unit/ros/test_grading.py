@@ -11,9 +11,8 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from shared import cases
+from shared import PACKAGE, cases, refuses
 
-from bullet_lab.errors import LabError
 from bullet_lab.ros import grade
 from bullet_lab.ros.grade import (
     Grader,
@@ -24,7 +23,7 @@ from bullet_lab.ros.grade import (
     command_of,
 )
 
-HOSTILE = Path(__file__).parents[2] / "submissions" / "hostile"
+HOSTILE = PACKAGE / "test" / "submissions" / "hostile"
 LARGEST_FILE = 100_000
 
 
@@ -42,7 +41,7 @@ def test_what_cannot_be_graded_is_named(tmp_path, given, line):
     (tmp_path / "file").touch()
     (tmp_path / "hidden" / ".git").mkdir(parents=True)
     settings = GradeSettings(exercise="square", base=str(tmp_path), **given)
-    with pytest.raises(LabError, match=line):
+    with refuses(line):
         _run(tmp_path, settings, print)
 
 
@@ -60,7 +59,7 @@ def test_a_field_that_is_no_number_is_named_before_anything_runs(tmp_path, kind,
     limits = f"measure: topic_mean, topic: a, type: {kind}, field: {field}, at_most: 0"
     file.write_text(f"criteria: [{{measure: contacts, at_most: 0}}, {{{limits}}}]")
     line = f"^e.yaml: criterion 2: field '{field}' of type '{kind}': there is no such number$"
-    with pytest.raises(LabError, match=line):
+    with refuses(line):
         _run(tmp_path, GradeSettings(exercise=str(file), submission="a"), print)
 
 
@@ -147,13 +146,13 @@ name, reason:
   - [two_launch_files, "^it has no main.py, no main.sh and 2 launch files; one is needed$"]
 """)
 def test_what_cannot_be_started_says_why(name, reason, tmp_path):
-    with pytest.raises(SubmissionError, match=reason):
+    with refuses(reason, SubmissionError):
         started(HOSTILE / name, tmp_path)
 
 
 def test_a_pipe_says_why(tmp_path):
     os.mkfifo(written(tmp_path / "pipe", "true") / "a_pipe")
-    with pytest.raises(SubmissionError, match="it cannot be started: .*a_pipe"):
+    with refuses("it cannot be started: .*a_pipe", SubmissionError):
         started(tmp_path / "pipe", tmp_path)
 
 

@@ -2,15 +2,12 @@
 
 import json
 import os
-from pathlib import Path
 
 import numpy as np
-import pytest
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from PIL import Image
-from shared import PACKAGE, cases
+from shared import PACKAGE, cases, refuses
 
-from bullet_lab.errors import LabError
 from bullet_lab.jobs.declaration import find_jobs
 from bullet_lab.ros import verify
 from bullet_lab.ros.verify import (
@@ -46,14 +43,14 @@ FILES = {
 }
 
 
-def test_each_kind_of_file_has_its_numbers(tmp_path):
+def test_each_kind_of_file_has_its_numbers(tmp_path, as_before):
     found = {name: of(tmp_path, name, text) for name, text in FILES.items()}
     pixels = np.zeros((4, 6, 3), dtype=np.uint8)
     pixels[:2, :, 0] = 200
     Image.fromarray(pixels).save(tmp_path / "a.png")
     found["a.png"] = fingerprint(tmp_path / "a.png")
     told = [line for name, one in found.items() for line in lines_of(one["numbers"], name)]
-    assert_as_before(told, Path(__file__).with_name("fingerprints.txt"))
+    as_before(told, "fingerprints.txt")
 
 
 def test_tables_are_compared_by_their_bytes(tmp_path):
@@ -72,7 +69,7 @@ def test_json_is_compared_without_keys_of_the_wall_clock(tmp_path):
 
 
 def test_invalid_json_is_refused(tmp_path):
-    with pytest.raises(LabError, match=r"cannot read .*a\.json"):
+    with refuses(r"cannot read .*a\.json"):
         of(tmp_path, "a.json", "{")
 
 
@@ -110,12 +107,12 @@ def test_the_table_shows_what_is_wrong():
 
 def test_references_that_are_none_are_refused(tmp_path):
     (tmp_path / "a.json").write_text("[]")
-    with pytest.raises(LabError, match=r"cannot use .*a\.json"):
+    with refuses(r"cannot use .*a\.json"):
         read_references(tmp_path / "a.json")
 
 
 def test_a_job_that_does_not_repeat_is_refused(tmp_path):
-    with pytest.raises(LabError, match="^there is no job 'grade'"):
+    with refuses("^there is no job 'grade'"):
         verify._run(tmp_path, verify.VerifySettings(jobs=("squares", "grade")), print)
 
 

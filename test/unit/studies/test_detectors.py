@@ -1,10 +1,9 @@
 """The detectors of figure 7 on a picture from a file."""
 
-import json
-
 import cv2
 import numpy as np
-import pytest
+from shared import refuses
+from study_runs import summary_of
 
 from bullet_lab.studies.detectors import PictureSettings, run_detectors
 from bullet_lab.vision.images import VisionError
@@ -20,7 +19,7 @@ def written(folder, picture):
 
 def test_the_marker_of_the_dock_is_found_on_its_wall(tmp_path):
     run_detectors(tmp_path, PictureSettings())
-    summary = json.loads((tmp_path / "summary.json").read_text())
+    summary = summary_of(tmp_path)
     [marker] = summary["markers"]
     assert (marker["id"], marker["dictionary"]) == (0, "DICT_APRILTAG_36h10")
     # Drawn with 256 px, in the middle of 1280.
@@ -51,5 +50,5 @@ def test_results_are_drawn_into_a_picture_without_a_marker(tmp_path):
 
 def test_a_file_that_is_no_picture_is_refused(tmp_path):
     (tmp_path / "text.png").write_text("no picture")
-    with pytest.raises(VisionError, match="it must be a picture, such as PNG or JPEG"):
+    with refuses("it must be a picture, such as PNG or JPEG", VisionError):
         run_detectors(tmp_path / "out", PictureSettings(str(tmp_path / "text.png")))

@@ -1,12 +1,13 @@
 """Tests of the map of a world: walls, legs and meshes are where they are."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 from map_values import value_at
 from scipy.ndimage import binary_dilation
-from shared import cases
+from shared import cases, refuses
 from study_runs import run_main, summary_of
 
 from bullet_lab.navigation.occupancy import FREE, OCCUPIED, UNKNOWN, MapError, read_map
@@ -118,9 +119,8 @@ settings, line:
   - [{resolution: 0.005, x: 100.0, y: 100.0}, at most 4000000]
 """)
 def test_what_cannot_be_mapped_is_refused(mapped, settings, line):
-    with pytest.raises(MapError) as error:
+    with refuses(re.escape(line), MapError):
         mapped(ROOM, **settings)
-    assert line in str(error.value)
 
 
 def test_the_job_writes_what_map_server_reads(tmp_path):

@@ -5,14 +5,12 @@ import os
 import runpy
 import shlex
 import signal
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Tuple
 
 import pytest
-from shared import cases
+from shared import PACKAGE, cases, python, refuses
 from study_runs import names_in, run_main
 
 from bullet_lab.core.files import FileError
@@ -28,7 +26,6 @@ from bullet_lab.studies.study import (
     write_table,
 )
 
-PACKAGE = Path(__file__).parents[3]
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 STUDIES = (
     *("calibrate", "detection_range", "dock_campaign"),
@@ -91,14 +88,6 @@ def results_elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.fixture(autouse=True)
-def signals():
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
 @pytest.mark.parametrize("first", SIGNALS)
 def test_the_second_signal_does_not_interrupt_what_the_first_one_has_begun(first):
     interrupt_once()
@@ -126,7 +115,7 @@ def test_settings_make_the_command_line(words, noise, place):
 
 
 def test_settings_are_checked_in_python_as_well():
-    with pytest.raises(ParameterError, match="paths is 0"):
+    with refuses("paths is 0", ParameterError):
         Noise(paths=0)
 
 
@@ -164,7 +153,7 @@ def test_how_it_fails(error, status, said):
 
 
 def test_ctrl_c_while_python_ends_changes_no_status():
-    assert subprocess.run([sys.executable, "-c", ENDING]).returncode == 2
+    assert python(ENDING)[0] == 2
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -253,7 +242,7 @@ def test_results_are_put_in_place_when_whole_with_the_summary_last(tmp_path):
 
 def test_results_that_cannot_be_written_leave_the_old_ones(tmp_path):
     (tmp_path / "a").write_text("old")
-    with pytest.raises(FileError, match="^cannot write to "), whole_results(tmp_path) as part:
+    with refuses("^cannot write to ", FileError), whole_results(tmp_path) as part:
         (part / "a").write_text("new")
         (part / "nix" / "b").write_text("b")
     assert (tmp_path / "a").read_text() == "old"

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from unittest import mock
 
 import pytest
-from shared import cases
+from shared import cases, refuses
 
 pytest.importorskip("dynamic_reconfigure.encoding")
 
@@ -88,7 +88,7 @@ name, value, times, wrong:
 """)
 def test_a_calibration_has_numbers_and_a_usual_size(name, value, times, wrong):
     check_calibration(USUAL)
-    with pytest.raises(InputError, match=wrong):
+    with refuses(wrong, InputError):
         check_calibration({**USUAL, name: times * value})
 
 

@@ -1,10 +1,8 @@
 """The launcher as a process, and the packages of files among its arguments."""
 
 import os
-import subprocess
-import sys
 
-from shared import cases
+from shared import cases, python
 
 from bullet_lab.ros.launcher.command import STATUS_FAILED, make_package_known
 
@@ -23,7 +21,7 @@ command.main(None)
 
 
 def test_ctrl_c_while_python_ends_changes_no_status():
-    assert subprocess.run([sys.executable, "-c", ENDING], timeout=600).returncode == STATUS_FAILED
+    assert python(ENDING)[0] == STATUS_FAILED
 
 
 @cases("""

@@ -5,12 +5,10 @@ import signal
 from types import SimpleNamespace
 from unittest import mock
 
-import pytest
-from shared import cases
+from shared import cases, refuses
 
-from bullet_lab.errors import LabError
 from bullet_lab.ros.launcher import supervision
-from bullet_lab.ros.launcher.supervision import Verdict, judge, others_than_writers
+from bullet_lab.ros.launcher.supervision import STOCK_URI, Verdict, judge, others_than_writers
 
 
 def judged(deaths, has_summary=True, stopped_by=None):
@@ -66,7 +64,7 @@ def test_all_nodes_ended_without_a_required_one():
 
 
 @cases("user, joins: [[0, true], [1, false]]")
-@pytest.mark.parametrize("uri", [supervision.STOCK_URI, supervision.STOCK_URI + "/"])
+@cases(f"uri: ['{STOCK_URI}', '{STOCK_URI}/']")
 def test_the_stock_master_of_another_user_is_not_joined(monkeypatch, user, joins, uri):
     running, own, mine = mock.Mock(), mock.Mock(uri="http://127.0.0.1:1/"), os.getuid()
     running.get.return_value = running
@@ -82,5 +80,5 @@ def test_the_stock_master_of_another_user_is_not_joined(monkeypatch, user, joins
 
 def test_a_master_that_does_not_answer_is_named(monkeypatch):
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:4")
-    with pytest.raises(LabError, match="^no ROS master answers at ROS_MASTER_URI=http"):
+    with refuses("^no ROS master answers at ROS_MASTER_URI=http"):
         supervision.prepare_master()

@@ -9,7 +9,6 @@ import genpy
 import numpy as np
 import pytest
 import yaml
-from alike import assert_as_before
 from geometry_msgs.msg import Twist, Vector3
 from message_fields import check, message, message_of, plain
 from nav_msgs.msg import Odometry
@@ -50,7 +49,7 @@ from bullet_lab.simulation.world.description import Box, Material, Mesh, Plane, 
 from bullet_lab.simulation.world.sdf import read_world_file
 
 
-@pytest.mark.parametrize("step", [0, 999, 2**31])
+@cases("step: [0, 999, 2147483648]")
 def test_steps_are_milliseconds(step):
     assert time_of(step).to_nsec() == step * 1_000_000
     assert first_step_at(time_of(step)) == step
@@ -100,12 +99,12 @@ SAMPLES = [
 ]
 
 
-def test_messages_say_what_samples_say():
+def test_messages_say_what_samples_say(as_before):
     told = []
     for sample in SAMPLES:
         message = message_of(sample)
         told += [f"# {message._type}", *str(message).splitlines()]
-    assert_as_before(told, Path(__file__).with_name("messages.txt"))
+    as_before(told, "messages.txt")
 
 
 def test_the_planar_pose():
@@ -215,13 +214,13 @@ WORLD = """<sdf version="1.6"><world name="shapes">
 </world></sdf>"""
 
 
-def test_each_visible_shape_is_a_marker_of_its_own(tmp_path):
+def test_each_visible_shape_is_a_marker_of_its_own(tmp_path, as_before):
     path = tmp_path / "shapes.world"
     path.write_text(WORLD)
     with Simulation(read_world_file(path)) as simulation:
         markers = world_markers(simulation.models["things"], "map")
     told = [line for marker in markers for line in str(marker).splitlines()]
-    assert_as_before(told, Path(__file__).with_name("markers.txt"))
+    as_before(told, "markers.txt")
     # A plane is drawn below its surface.
     assert markers[3].pose.position.z + 0.5 * markers[3].scale.z < 1.0
 

@@ -1,7 +1,7 @@
 import pytest
 from geometry_msgs.msg import Point, Pose, Quaternion, Twist
 from message_fields import message
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core.pose import Pose as PlainPose
 from bullet_lab.ros.messages.poses import InputError, normalised_pose, twist_message, twist_of
@@ -37,7 +37,7 @@ value:
     ],
 )
 def test_numbers_that_are_not_finite_are_refused(read, kind, field, what, value):
-    with pytest.raises(InputError, match=f"the {what} is not finite"):
+    with refuses(f"the {what} is not finite", InputError):
         read(message(kind, field.replace("VALUE", value)))
 
 

@@ -1,14 +1,12 @@
 """How a node ends, and what it does beside its work."""
 
 import gc
-import subprocess
-import sys
 import threading
 import weakref
 from types import SimpleNamespace
 
 import pytest
-from shared import cases
+from shared import cases, python
 
 from bullet_lab.ros.node import node
 
@@ -58,24 +56,16 @@ node.run_node("thing", body)
 
 
 def test_a_call_that_the_end_of_the_master_breaks_is_one_line():
-    run = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=600)
-    assert (run.returncode, run.stderr) == (1, "thing: the ROS master is gone\n")
+    assert python(LOST) == (1, "", "thing: the ROS master is gone\n")
 
 
 def test_a_signal_that_another_thread_gets_ends_a_node_that_only_listens():
-    run = subprocess.run(
-        [sys.executable, "-c", SPINNING], capture_output=True, text=True, timeout=600
-    )
-    assert (run.stdout, run.stderr) == ("15\n", "")
+    assert python(SPINNING) == (0, "15\n", "")
 
 
 @pytest.mark.parametrize("name", [pytest.param("SIGINT", marks=pytest.mark.long), "SIGTERM"])
 def test_a_signal_ends_a_node_whose_main_thread_is_busy(name):
-    program = PROGRAM.format(name=name)
-    run = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=600
-    )
-    assert (run.returncode, run.stdout, run.stderr) == (0, "True\n", "")
+    assert python(PROGRAM.format(name=name)) == (0, "True\n", "")
 
 
 @cases("ending: [false, true]")

@@ -1,16 +1,15 @@
 import math
-from pathlib import Path
 
 import docking_standin as standin
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from bullet_lab.msg import DockGoal, MarkerDetectionArray, UndockGoal
 from geometry_msgs.msg import Quaternion
 from message_fields import check, message
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core.parameters import ParameterError
 from bullet_lab.core.pose import Pose
@@ -55,7 +54,7 @@ DETECTIONS = """
 """
 
 
-def test_messages_are_read_as_before():
+def test_messages_are_read_as_before(as_before):
     odometry = message(Odometry, ODOMETRY)
     odometry.twist.covariance = list(range(36))
     # The optical frame of a camera that looks ahead.
@@ -67,7 +66,7 @@ def test_messages_are_read_as_before():
         "sightings": sightings_of(message(MarkerDetectionArray, DETECTIONS)),
     }
     assert found["sightings"][1][0].corners.dtype == np.float64
-    assert_as_before(lines_of(found, "read"), Path(__file__).with_name("docking.txt"))
+    as_before(lines_of(found, "read"), "docking.txt")
 
 
 def goal(frame):
@@ -89,15 +88,14 @@ def lookup(target, source):
     return Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, math.pi / 2))
 
 
-@pytest.mark.parametrize(
-    "frame, expected",
-    [
-        # That of the database, unless the goal has one.
-        ("''", (4.0, 0.0, 0.1)),
-        ("odom", (3.0, 1.0, -0.2)),
-        ("map", (0.0, 5.0, math.pi / 2 - 0.2)),
-    ],
-)
+@cases("""
+frame, expected:
+  # That of the database, unless the goal has one.
+  - ["''", [4.0, 0.0, 0.1]]
+  - [odom, [3.0, 1.0, -0.2]]
+  # A right angle less 0.2.
+  - [map, [0.0, 5.0, 1.3707963267948966]]
+""")
 def test_the_rough_pose_is_in_the_frame_of_the_odometry(frame, expected):
     assert rough_pose(goal(frame), DOCK, "odom", lookup) == pytest.approx(expected)
 
@@ -111,7 +109,7 @@ def test_an_unknown_frame_may_be_known_later():
 def test_a_leaning_dock_is_refused_for_good():
     wrong = goal("odom")
     wrong.dock_pose.pose.orientation = Quaternion(0.6, 0.0, 0.0, 0.8)
-    with pytest.raises(DockingFailureError, match="not upright") as caught:
+    with refuses("not upright", DockingFailureError) as caught:
         rough_pose(wrong, DOCK, "odom", lookup)
     assert not isinstance(caught.value, NotYetError)
     assert isinstance(caught.value, LabError)
@@ -132,20 +130,20 @@ action, text, said:
 """)
 def test_invalid_goals_are_refused(action, text, said):
     kind = {"dock": DockGoal, "undock": UndockGoal}[action]
-    with pytest.raises(DockingFailureError, match=said) as caught:
+    with refuses(said, DockingFailureError) as caught:
         check_goal(message(kind, f"{{{text}}}"))
     assert caught.value.error == DockingError.NOT_VALID
 
 
 def test_a_dock_that_the_database_does_not_have():
-    with pytest.raises(ParameterError, match="~dock is 'kitchen': it must be one of"):
+    with refuses("~dock is 'kitchen': it must be one of", ParameterError):
         DockParameters(dock="kitchen").database()
 
 
 def test_docks_that_cannot_be_read(tmp_path):
     path = tmp_path / "docks.yaml"
     path.write_text("docks: {dock: {}}")
-    with pytest.raises(ParameterError, match="^~docks: .*frame"):
+    with refuses("^~docks: .*frame", ParameterError):
         DockParameters(docks=str(path)).database()
 
 

@@ -1,8 +1,6 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of_figure
+from alike import lines_of_figure
 from shared import cases
 
 from bullet_lab.core.parameters import read_parameters
@@ -56,13 +54,13 @@ def test_summary_has_mean_and_largest_errors(tmp_path):
 
 
 @cases("number: [1, 7]")
-def test_figures_are_as_before(number):
+def test_figures_are_as_before(number, as_before):
     robots = {
         name: (path(2.5 * (k % 5), 2.5 * (k // 5)), path(2.5 * (k % 5) + 0.1))
         for k, name in enumerate(robot_names(number))
     }
     told = lines_of_figure(fleet_figure(robots, "fleet"))
-    assert_as_before(told, Path(__file__).parent / f"fleet_of_{number}.txt")
+    as_before(told, f"fleet_of_{number}.txt")
 
 
 def test_figure_of_robots_that_have_sent_nothing_yet():

@@ -1,13 +1,10 @@
-from pathlib import Path
-
 import pytest
 import yaml
 from roslaunch.config import ROSLaunchConfig
 from roslaunch.xmlloader import XmlLoader
-from shared import cases
+from shared import PACKAGE, cases, refuses
 
 from bullet_lab.core.parameters import ArgumentsError
-from bullet_lab.errors import LabError
 from bullet_lab.ros.nodes.gzserver import bridge_parameters, find_world, parse_server_arguments
 from bullet_lab.simulation.world.resources import package_share
 
@@ -43,7 +40,7 @@ line, reason:
   --nix: "unrecognized arguments: --nix"
 """)
 def test_refusals(line, reason):
-    with pytest.raises(ArgumentsError, match=reason):
+    with refuses(reason, ArgumentsError):
         parse(line)
 
 
@@ -80,7 +77,7 @@ text:
 """)
 def test_use_sim_time_has_the_type_of_its_value(text):
     """As in gazebo_ros's own launch file: use_sim_time:=0.1 is no mistake there."""
-    launch = Path(__file__).parents[4] / "stand_ins/gazebo_ros/launch/empty_world.launch"
+    launch = PACKAGE / "stand_ins/gazebo_ros/launch/empty_world.launch"
     config, arguments = ROSLaunchConfig(), [f"use_sim_time:={text}", "use_clock_frequency:=1"]
     XmlLoader().load(str(launch), config, argv=arguments, verbose=False)
     assert repr(config.params["/use_sim_time"].value) == repr(yaml.safe_load(text))
@@ -110,8 +107,8 @@ def test_the_bridge_gets_the_arguments_of_gzserver(ros, logged):
 
 
 def test_parameters_that_are_refused(ros):
-    with pytest.raises(LabError, match="--seed is -3: it must be a whole number from 0"):
+    with refuses("--seed is -3: it must be a whole number from 0"):
         parameters("--seed", "-3")
     ros["/gazebo/pub_clock_frequency"] = "often"
-    with pytest.raises(LabError, match="/gazebo/pub_clock_frequency is 'often': it must be"):
+    with refuses("/gazebo/pub_clock_frequency is 'often': it must be"):
         parameters()

@@ -3,12 +3,11 @@
 import dataclasses
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import rospy
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from marker_images import CAMERA, View, image_of, marker
 from message_fields import lines_of_message
 from sensor_msgs.msg import CameraInfo
@@ -89,7 +88,7 @@ def marked(pixels):
     return len(rows), rows.sum(), columns.sum()
 
 
-def test_edges_and_corners_of_a_square_are_as_before(published):
+def test_edges_and_corners_of_a_square_are_as_before(published, as_before):
     nodes = {
         "edges": CannyEdges(CannyParameters()),
         "no edges": CannyEdges(CannyParameters(low=2000.0, high=2000.0)),
@@ -112,7 +111,7 @@ def test_edges_and_corners_of_a_square_are_as_before(published):
         told += lines_of(node.process(image_node.CameraImage(image(square()), None)), name)
         for sent in published.values():
             sent.clear()
-    assert_as_before(told, Path(__file__).with_name("corners.txt"), within=1e-4)
+    as_before(told, "corners.txt", within=1e-4)
 
 
 @cases("""
@@ -194,7 +193,7 @@ def lines_of_answers(node, published, images):
                     yield from lines_of(1e6 * np.array(found.pose.covariance), "covariance")
 
 
-def test_each_image_is_answered_with_its_markers_as_before(published, monkeypatch):
+def test_each_image_is_answered_with_its_markers_as_before(published, monkeypatch, as_before):
     monkeypatch.setattr(aruco, "publisher", image_node.publisher)
     told = []
     for name, given, info, images in finders():
@@ -203,7 +202,7 @@ def test_each_image_is_answered_with_its_markers_as_before(published, monkeypatc
         node._receive_info(info)
         told += [f"# {name}", *lines_of_answers(node, published, images)]
     # Other processors round others.
-    assert_as_before(told, Path(__file__).with_name("detections.txt"), within=2e-3)
+    as_before(told, "detections.txt", within=2e-3)
 
 
 @cases("""

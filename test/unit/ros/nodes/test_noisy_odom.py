@@ -3,12 +3,11 @@
 import copy
 import math
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 import pytest
 import rospy
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from bullet_lab.srv import SetNoiseRequest
 from nav_msgs.msg import Odometry
 from recorded_paths import make_rule
@@ -140,7 +139,7 @@ def test_what_cannot_be_used_is_refused_and_not_in_the_path(adder):
     assert_follows(NoisyPath(make_rule("report", 0.1), 4), perfect, noisy)
 
 
-def test_poses_twists_covariances_ticks_and_the_ellipse_are_as_before(adder, published):
+def test_poses_twists_covariances_ticks_and_the_ellipse_are_as_before(adder, published, as_before):
     errors = SystematicErrors(0.1, -0.05, 0.02, 0.01, 0.5, ticks_per_metre=777.7)
     spread = {"scale_error_std": 0.1, "base_error_std": 0.05}
     noisy = adder(std=0.9, seed=2, **spread, **asdict(errors)).send(arc(12, period=0.2))
@@ -154,7 +153,7 @@ def test_poses_twists_covariances_ticks_and_the_ellipse_are_as_before(adder, pub
     marker = published["noisy_odom_ellipse"][-1]
     assert (marker.header, marker.pose.position) == (noisy[-1].header, noisy[-1].pose.pose.position)
     told += lines_of([(point.x, point.y) for point in marker.points], "ellipse")
-    assert_as_before(told, Path(__file__).with_name("noisy_odom.txt"))
+    as_before(told, "noisy_odom.txt")
 
 
 def test_perfect_message_stays_as_it_came(adder):

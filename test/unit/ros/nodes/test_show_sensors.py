@@ -1,9 +1,5 @@
-from pathlib import Path
-
-import pytest
-from alike import assert_as_before
 from message_fields import message, plain
-from shared import cases
+from shared import cases, refuses
 from visualization_msgs.msg import Marker
 
 from bullet_lab.ros.messages.gazebo_types import msg
@@ -32,11 +28,11 @@ def touching(force=2.0, normals="[{x: -1}, {x: -1}]", before=False):
 
 
 @cases("before: [false, true]")
-def test_each_point_of_the_last_step_has_a_sphere_a_normal_and_its_force(before):
+def test_each_point_of_the_last_step_has_a_sphere_a_normal_and_its_force(before, as_before):
     # The second point of each pair of shapes bears nothing: no arrow.
     markers = contact_markers(touching(before=before), 0.1)
     told = [line for marker in markers for line in str(marker).splitlines()]
-    assert_as_before(told, Path(__file__).with_name("contacts.txt"))
+    as_before(told, "contacts.txt")
 
 
 @cases("before: [false, true]")
@@ -51,9 +47,9 @@ def test_nothing_touched_takes_the_markers_away():
 
 
 def test_what_is_refused():
-    with pytest.raises(InputError, match="not finite"):
+    with refuses("not finite", InputError):
         total_wrench(touching(float("nan")))
-    with pytest.raises(InputError, match="not finite"):
+    with refuses("not finite", InputError):
         list(contact_markers(touching(float("inf")), 0.1))
-    with pytest.raises(InputError, match="without a normal"):
+    with refuses("without a normal", InputError):
         list(contact_markers(touching(normals="[{x: -1}]"), 0.1))

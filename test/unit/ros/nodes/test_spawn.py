@@ -1,12 +1,13 @@
 """Models in patterns, and the command line of spawn_model."""
 
+import re
+
 import pytest
 from message_fields import check
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core.parameters import ArgumentsError, ParameterError, read_parameters
 from bullet_lab.core.pose import Pose
-from bullet_lab.errors import LabError
 from bullet_lab.ros.gazebo.client import numbered
 from bullet_lab.ros.nodes.spawn import (
     PopulateParameters,
@@ -45,7 +46,7 @@ def test_other_patterns_have_as_many_places_as_asked_for(pattern):
 
 @cases("poses: [5, [1, 2], [[1]], [[1, 2, 3, 4]], [['1', '2']], [[true, 1]], [[.nan, 0]]]")
 def test_poses_that_are_none(poses):
-    with pytest.raises(ParameterError, match=r"~poses is .*: it must be a list of \[x, y\]"):
+    with refuses(r"~poses is .*: it must be a list of \[x, y\]", ParameterError):
         wanted(poses=poses)
 
 
@@ -56,7 +57,7 @@ def test_descriptions_are_files_or_references(package, tmp_path):
     folder = read_spawned(description_of(str(package / "models" / "beacon")), "folder")
     assert folder.name == "beacon"
     assert "model://a&amp;b" in description_of("model://a&b")
-    with pytest.raises(LabError, match="no such file"):
+    with refuses("no such file"):
         description_of(str(tmp_path / "nix.sdf"))
 
 
@@ -69,7 +70,7 @@ def test_only_numbered_names_are_taken_away():
 def test_names_are_numbered_but_that_of_one_model():
     assert list(places_of(wanted(prefix="post", pattern="line", count=2))) == ["post_0", "post_1"]
     assert list(places_of(wanted(name="robot1", poses=[[1, 2]]))) == ["robot1"]
-    with pytest.raises(ParameterError, match="~name is 'robot1': 3 models cannot share one name"):
+    with refuses("~name is 'robot1': 3 models cannot share one name", ParameterError):
         places_of(wanted(name="robot1"))
 
 
@@ -164,14 +165,12 @@ line, reason:
   -urdf -file f -model m -trimesh_mass 1: "unrecognized arguments: -trimesh_mass 1"
 """)
 def test_refusals(line, reason):
-    with pytest.raises(ArgumentsError) as caught:
+    with refuses(re.escape(reason), ArgumentsError):
         parse(line)
-    assert reason in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_empty_names():
-    with pytest.raises(ArgumentsError, match="-model: it is empty"):
+    with refuses("-model: it is empty", ArgumentsError):
         parse_spawn_arguments(["-urdf", "-stdin", "-model", ""])
 
 

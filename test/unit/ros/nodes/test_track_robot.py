@@ -1,11 +1,9 @@
 """Each beacon has its own topics, and the report's strings to the letter."""
 
 import math
-from pathlib import Path
 
 import pytest
 import rospy
-from alike import assert_as_before
 from message_fields import message
 from nav_msgs.msg import Odometry
 from shared import cases
@@ -52,14 +50,14 @@ def test_beacons_from_the_parameter_whole_or_not(published):
     assert float(at) == pytest.approx(math.hypot(0.5, -2), abs=1e-14)
 
 
-def test_lines_ranges_and_labels_say_the_same_distances(published):
+def test_lines_ranges_and_labels_say_the_same_distances(published, as_before):
     node = TrackRobot(TrackRobotParameters())
     for k in range(1, 3):
         node.callback(odometry(0.05 * k, 0.3 * k, -0.2 * k))
     told = []
     for topic, messages in sorted(published.items()):
         told += [f"# {topic}", *(line for one in messages for line in str(one).splitlines())]
-    assert_as_before(told, Path(__file__).with_name("beacons.txt"))
+    as_before(told, "beacons.txt")
 
 
 def test_what_cannot_be_used_is_refused(published):

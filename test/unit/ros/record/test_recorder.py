@@ -1,4 +1,3 @@
-import json
 import threading
 from types import SimpleNamespace
 
@@ -6,6 +5,8 @@ import pytest
 import rospy
 from message_fields import message
 from nav_msgs.msg import Odometry
+from shared import refuses
+from study_runs import summary_of
 
 from bullet_lab.core.figures import new_figure
 from bullet_lab.core.files import FileError, PathSeries
@@ -84,8 +85,7 @@ def odometry(number, x=0.0, frame="odom"):
 
 def left(folder):
     """Return the summary that is left, and the rows of the path."""
-    summary = json.loads((folder / "summary.json").read_text())
-    return summary, len((folder / "path.tum").read_text().splitlines())
+    return summary_of(folder), len((folder / "path.tum").read_text().splitlines())
 
 
 def end_at(number):
@@ -164,7 +164,7 @@ def test_a_goal_that_is_not_reached_leaves_everything_and_one_line(tmp_path, rec
     report.failed, report.until = True, 50_000_000
     sent = []
     recording = record(GoalRequest("server", lambda: True, lambda: sent.append(1), lambda: sent))
-    with pytest.raises(NodeError, match="^1 rows$"):
+    with refuses("^1 rows$", NodeError):
         recording.run()
     assert sent == [1]
     assert left(tmp_path)[0]["finished"] is True
@@ -173,7 +173,7 @@ def test_a_goal_that_is_not_reached_leaves_everything_and_one_line(tmp_path, rec
 def test_a_goal_that_is_not_accepted(tmp_path, record, monkeypatch):
     monkeypatch.setattr(recorder, "ACCEPTANCE", 0.05)
     recording = record(GoalRequest("server", lambda: True, list, lambda: False))
-    with pytest.raises(NodeError, match=r"^server has not accepted the goal within 0\.05 s$"):
+    with refuses(r"^server has not accepted the goal within 0\.05 s$", NodeError):
         recording.run()
     assert left(tmp_path)[1] == 1
 
@@ -182,7 +182,7 @@ def test_a_full_disk(tmp_path, receive):
     (tmp_path / "path.tum").symlink_to("/dev/full")
     recording = Recorder(PathReport(tmp_path), recorder.RecordParameters(out=str(tmp_path)))
     receive["odom"](odometry(1))
-    with pytest.raises(FileError, match=r"path\.tum"):
+    with refuses(r"path\.tum", FileError):
         recording.run()
 
 
@@ -191,5 +191,5 @@ def test_plot_runs_the_report_that_is_named(tmp_path, receive, monkeypatch):
     plot.__wrapped__(PlotParameters(out=str(tmp_path), report=f"{__name__}:PathReport"))
     assert left(tmp_path)[1] == 0
     missing = "bullet_lab.reports.nothing:Report"
-    with pytest.raises(NodeError, match=f"~report is '{missing}'"):
+    with refuses(f"~report is '{missing}'", NodeError):
         plot.__wrapped__(PlotParameters(out=str(tmp_path), report=missing))

@@ -2,11 +2,10 @@
 
 from types import SimpleNamespace
 
-import pytest
 import yaml
 from bullet_lab.msg import ModelDescription
 from message_fields import message, messages
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.ros.node.node import NodeError
 from bullet_lab.ros.record import robot_parts
@@ -177,7 +176,7 @@ def test_the_choice_waits_until_all_are_there(monkeypatch, clock, name, coming, 
 
 def test_nothing_comes(monkeypatch, clock):
     line = "no model 'cart' was spawned within 120 s; .* one of robot$"
-    with pytest.raises(NodeError, match=line):
+    with refuses(line, NodeError):
         find(monkeypatch, clock, "cart", {"robot": (0, True)})
 
 

@@ -2,16 +2,11 @@
 
 import msgspec
 import pytest
-import yaml
 from shared import cases
 
 from bullet_lab.ros.view.page import MAX_MESSAGE_BYTES, Gate, is_valid_message
 
 GATE = Gate("secret")
-
-
-def read(text):
-    return yaml.safe_load(text)
 
 
 @cases("""
@@ -76,24 +71,20 @@ def test_messages_of_a_page_are_accepted(message):
     assert is_valid_message(msgspec.msgpack.encode(message))
 
 
-@pytest.mark.parametrize(
-    "message",
-    read(
-        f"""
-        - {{type: GuiUpdateMessage, uuid: a, updates: {{value: .nan}}}}
-        - {{type: GuiUpdateMessage, uuid: a, updates: {{value: -.inf}}}}
-        - {{type: GuiUpdateMessage, uuid: a, updates: {{value: [1.0, .nan]}}}}
-        - {{type: GuiUpdateMessage, uuid: a, updates: {{value: {2000 * "x"}}}}}
-        - {{type: GuiUpdateMessage, uuid: a, updates: {{value: 0.5, visible: false}}}}
-        - {{type: GuiUpdateMessage, uuid: a, updates: {{update_cb: 5}}}}
-        - {{type: GuiUpdateMessage, uuid: a, updates: {{}}}}
-        - {{type: GuiUpdateMessage, uuid: a, updates: 5}}
-        - {{type: ViewerCameraMessage, position: [0.0, .inf, 0.0]}}
-        - {{.nan: 1}}
-        - [GuiUpdateMessage]
-        """
-    ),
-)
+@cases(f"""
+message:
+  - {{type: GuiUpdateMessage, uuid: a, updates: {{value: .nan}}}}
+  - {{type: GuiUpdateMessage, uuid: a, updates: {{value: -.inf}}}}
+  - {{type: GuiUpdateMessage, uuid: a, updates: {{value: [1.0, .nan]}}}}
+  - {{type: GuiUpdateMessage, uuid: a, updates: {{value: {2000 * "x"}}}}}
+  - {{type: GuiUpdateMessage, uuid: a, updates: {{value: 0.5, visible: false}}}}
+  - {{type: GuiUpdateMessage, uuid: a, updates: {{update_cb: 5}}}}
+  - {{type: GuiUpdateMessage, uuid: a, updates: {{}}}}
+  - {{type: GuiUpdateMessage, uuid: a, updates: 5}}
+  - {{type: ViewerCameraMessage, position: [0.0, .inf, 0.0]}}
+  - {{.nan: 1}}
+  - [GuiUpdateMessage]
+""")
 def test_messages_that_no_page_sends_are_dropped(message):
     assert not is_valid_message(msgspec.msgpack.encode(message))
 

@@ -2,16 +2,16 @@
 
 import cmath
 from copy import deepcopy
-from pathlib import Path as FilePath
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from geometry_msgs.msg import Point, PoseStamped
 from message_fields import data_of, message
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import LaserScan
+from shared import cases
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -27,6 +27,19 @@ from bullet_lab.ros.view.robots import read_transforms
 def context(monkeypatch, scene):
     monkeypatch.setattr(displays, "Subscription", lambda *arguments, **options: None)
     return DisplayContext(scene)
+
+
+@pytest.fixture
+def display(monkeypatch, scene):
+    """A function that returns a display of sets of markers, which come one after the other."""
+
+    def display(*sets):
+        left = iter(sets)
+        subscription = SimpleNamespace(take=lambda: [list(map(read_marker, next(left)))])
+        monkeypatch.setattr(displays, "Subscription", lambda *arguments, **options: subscription)
+        return MarkersDisplay(DisplayContext(scene), "/markers")
+
+    return display
 
 
 def sent(kind, text, read=None):
@@ -63,9 +76,9 @@ MARKERS = """
 """
 
 
-def test_transforms_and_markers_are_read_as_before():
+def test_transforms_and_markers_are_read_as_before(as_before):
     found = *sent(TFMessage, TRANSFORMS, read_transforms), *sent(MarkerArray, MARKERS, read_markers)
-    assert_as_before(lines_of(found, "read"), FilePath(__file__).with_name("read.txt"))
+    as_before(lines_of(found, "read"), "read.txt")
 
 
 def test_odometry(context):
@@ -110,7 +123,13 @@ def test_scan(context):
         display.show(made)
 
 
-@pytest.mark.parametrize("frames", [(), ("odom",) * 4, ("odom", "", "odometry"), ("odom", "base")])
+@cases("""
+frames:
+  - []
+  - [odom, odom, odom, odom]
+  - [odom, "", odometry]
+  - [odom, base]
+""")
 def test_path(frames):
     made = message(Path, "header: {frame_id: odom}")
     for number, frame in enumerate(frames):
@@ -122,7 +141,7 @@ def test_path(frames):
     assert places.tolist() == [[n, 2.0 * n, 0.5] for n in range(len(frames))]
 
 
-def test_a_list_with_too_few_colours_has_the_colour_of_the_marker(monkeypatch, scene):
+def test_a_list_with_too_few_colours_has_the_colour_of_the_marker(display, scene):
     text = """
         type: 6
         points: [{}, {}, {}]
@@ -130,27 +149,22 @@ def test_a_list_with_too_few_colours_has_the_colour_of_the_marker(monkeypatch, s
         color: {r: 1.0, g: 0.5, a: 1.0}
         scale: {x: 1.0, y: 1.0, z: 1.0}
     """
-    subscription = SimpleNamespace(take=lambda: [[read_marker(message(Marker, text))]])
-    monkeypatch.setattr(displays, "Subscription", lambda *arguments, **options: subscription)
-    MarkersDisplay(DisplayContext(scene), "/boxes").tick()
+    display([message(Marker, text)]).tick()
     (node,) = scene.nodes.values()
     assert node.batched_colors.tolist() == [[255, 128, 0]] * 3
 
 
-def test_a_marker_that_goes_takes_no_other_along(monkeypatch, scene):
+def test_a_marker_that_goes_takes_no_other_along(display, scene):
     label = Marker(type=Marker.TEXT_VIEW_FACING, text="there")
     label.color.a = label.scale.z = label.pose.orientation.w = 1.0
     first, gone, other = (deepcopy(label) for _ in range(3))
     first.ns, first.id = gone.ns, gone.id = "a", 3
     other.ns = "a/3"
     gone.action = Marker.DELETE
-    sets = iter([[read_marker(first), read_marker(other)], [read_marker(gone)]])
-    subscription = SimpleNamespace(take=lambda: [next(sets)])
-    monkeypatch.setattr(displays, "Subscription", lambda *arguments, **options: subscription)
-    display = MarkersDisplay(DisplayContext(scene), "/labels")
-    display.tick()
+    shown = display([first, other], [gone])
+    shown.tick()
     assert len(scene.nodes) == 2
-    display.tick()
+    shown.tick()
     (left,) = scene.nodes
     assert "a/3" in left
 

@@ -10,7 +10,6 @@ import urllib.request
 from types import SimpleNamespace
 
 import pytest
-import yaml
 from geometry_msgs.msg import Twist, Vector3
 from shared import cases
 from websockets.exceptions import InvalidStatus
@@ -178,7 +177,7 @@ def test_a_command_is_valid_from_the_time_that_it_carries(wheel):
     assert pad.patience(10.4) is None
 
 
-@pytest.mark.parametrize("age", [HOLD, 2.0, 6.0, -1.0])
+@cases(f"age: [{HOLD}, 2.0, 6.0, -1.0]")
 def test_a_late_command_is_a_stop(wheel, age):
     pad = wheel.pads["a"]
     pad.take(f"{10.0 - age} 1 0", 10.0)
@@ -195,25 +194,23 @@ def test_a_burst_of_old_words_drives_nothing(wheel):
     assert not wheel.driven
 
 
-# What the tabs send or do at 10 s, and how the robot is driven then.
-STORIES = f"""
-# One tab drives, and another takes over by asking.
-- - [a, 10 1 0, [[a, 1, 0]]]
-  - [b, 10 -1 0, []]
-  - [b, {TAKE_OVER}, [[a, 0, 0]]]
-  - [a, 10 1 0, []]
-  - [b, 10 -1 0, [[b, -1, 0]]]
-# Who leaves is stopped, and others may drive.
-- - [a, 10 1 0, [[a, 1, 0]]]
-  - [b, leaves, []]
-  - [a, leaves, [[a, 0, 0]]]
-  - [b, 10 1 0, [[b, 1, 0]]]
-# A stop is passed on once.
-- [[a, 10 0 0, []], [a, 10 1 0, [[a, 1, 0]]], [a, 10 0 0, [[a, 0, 0]]], [a, 10 0 0, []]]
-"""
-
-
-@pytest.mark.parametrize("story", yaml.safe_load(STORIES))
+@cases(f"""
+story:
+  # What the tabs send or do at 10 s, and how the robot is driven then.
+  # One tab drives, and another takes over by asking.
+  - - [a, 10 1 0, [[a, 1, 0]]]
+    - [b, 10 -1 0, []]
+    - [b, {TAKE_OVER}, [[a, 0, 0]]]
+    - [a, 10 1 0, []]
+    - [b, 10 -1 0, [[b, -1, 0]]]
+  # Who leaves is stopped, and others may drive.
+  - - [a, 10 1 0, [[a, 1, 0]]]
+    - [b, leaves, []]
+    - [a, leaves, [[a, 0, 0]]]
+    - [b, 10 1 0, [[b, 1, 0]]]
+  # A stop is passed on once.
+  - [[a, 10 0 0, []], [a, 10 1 0, [[a, 1, 0]]], [a, 10 0 0, [[a, 0, 0]]], [a, 10 0 0, []]]
+""")
 def test_who_drives(wheel, story):
     for tab, word, driven in story:
         wheel.driven.clear()

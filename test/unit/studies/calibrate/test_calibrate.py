@@ -5,13 +5,12 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from shared import cases
+from shared import cases, refuses
 from study_runs import names_in, run_main, summary_of
 
 from bullet_lab.core import se2
 from bullet_lab.core.parameters import part_of, read_parameters
 from bullet_lab.core.trajectory import CSV_HEADER
-from bullet_lab.errors import LabError
 from bullet_lab.noise.odometry_noise import ProbabilisticRule, rule_of
 from bullet_lab.noise.systematic import (
     SYSTEMATIC,
@@ -171,5 +170,5 @@ path, scale, line:
 def test_odometry_that_cannot_be_is_refused_with_its_likely_cause(path, scale, line):
     taken = take_steps(made_up(DriveSettings(), 3), StepSettings())
     taken.check()
-    with pytest.raises(LabError, match=line):
+    with refuses(line):
         replace(taken, odometry=getattr(taken, path) * scale).check()

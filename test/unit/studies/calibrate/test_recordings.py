@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from recorded_bags import write_bag
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core.trajectory import Trajectory
-from bullet_lab.errors import LabError
 from bullet_lab.studies.paths import find_recordings, read_pair, tum_text
 
 TOPICS = ("/truth", "/odom")
@@ -95,5 +94,5 @@ name, said:
 """)
 def test_where_there_is_nothing_that_is_said(tmp_path, name, said):
     (tmp_path / "one.csv").write_text("stamp,x,y,yaw\n")
-    with pytest.raises(LabError, match=said):
+    with refuses(said):
         find_recordings([tmp_path / name], TOPICS)

@@ -2,13 +2,12 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before, lines_of, lines_of_figure
+from alike import lines_of, lines_of_figure
 from shared import cases
-from study_runs import csv_rows, names_in, summary_of
+from study_runs import backwards, csv_rows, names_in, summary_of
 from test_trial import CAMERA, cell
 
 from bullet_lab.simulation.rendering import driver_name
@@ -35,7 +34,6 @@ from bullet_lab.studies.detection_range.trial import (
 from bullet_lab.studies.worlds import LIGHTS
 from bullet_lab.vision.marker_pose import ObservedMarker, estimate_pose
 
-HERE = Path(__file__).parent
 WANTED = WORLDS["docking"][0]
 # Places of other markers.
 LEFT, RIGHT = (3.3, 0.9, 0.5), (3.3, -0.9, 0.5)
@@ -53,13 +51,17 @@ def judged(pose, *markers, others=()):
     return judge(list(markers), pose, (WANTED, *others), CAMERA)
 
 
+def counts(frame):
+    return frame.found, frame.others, frame.doubles, frame.false
+
+
 # ---- Judging ----
 
 
 def test_a_perfect_find_has_no_errors():
     pose = camera_pose(1.0, math.radians(20.0), 0.03)
     frame = judged(pose, seen(WANTED, pose))
-    assert (frame.found, frame.others, frame.doubles, frame.false) == (True, 0, 0, 0)
+    assert counts(frame) == (True, 0, 0, 0)
     assert abs(frame.distance_error) < 1e-4 and frame.lateral_error < 1e-4
     assert frame.rotation_error < 1e-3 and not frame.flipped
 
@@ -78,9 +80,9 @@ def test_detections_are_assigned_by_their_position():
     other, elsewhere = (PrintedMarker(*one) for one in ((0.35, LEFT), (0.2, RIGHT)))
     found = [seen(marker, pose) for marker in (other, WANTED, WANTED, elsewhere)]
     frame = judged(pose, *found, others=(other,))
-    assert (frame.found, frame.others, frame.doubles, frame.false) == (True, 1, 1, 1)
+    assert counts(frame) == (True, 1, 1, 1)
     frame = judged(pose, found[0], others=(other,))
-    assert (frame.found, frame.others, frame.false) == (False, 1, 0)
+    assert counts(frame) == (False, 1, 0, 0)
     assert math.isnan(frame.distance_error)
 
 
@@ -92,10 +94,10 @@ def test_detections_are_assigned_by_their_position():
 def test_another_id_or_corners_that_are_off_are_false(off):
     pose = camera_pose(1.0, 0.0)
     frame = judged(pose, seen(WANTED, pose, **off))
-    assert (frame.found, frame.false) == (False, 1)
+    assert counts(frame) == (False, 0, 0, 1)
 
 
-def test_a_cell_comes_down_to_rates_and_spreads():
+def test_a_cell_comes_down_to_rates_and_spreads(as_before):
     frames = (
         Frame(True, 1, 0, 0, 0.01, 0.002, math.radians(2.0)),
         Frame(True, 0, 1, 0, -0.03, 0.004, math.radians(4.0), True),
@@ -104,21 +106,21 @@ def test_a_cell_comes_down_to_rates_and_spreads():
     told = []
     for place, seen_there in ((cell(2.0, 30.0), frames), (cell(2.0), frames[2:])):
         told += lines_of(cell_row(place, True, seen_there, 6.25), "cell")
-    assert_as_before(told, HERE / "cells.txt")
+    as_before(told, "cells.txt")
 
 
 # ---- Ranges ----
 
 
-def rows_of(rates, bearing=0.0, world="marker_panel", light="default", frames=20):
+def rows_of(rates, bearing=0.0, world="marker_panel", light="default"):
     return [
         {
             "world": world,
             "light": light,
             "distance_m": distance,
             "bearing_deg": bearing,
-            "frames": frames,
-            "found": round(rate * frames),
+            "frames": 20,
+            "found": round(rate * 20),
             "rate": rate,
             "visible": True,
             **{f"{kind}_detections": 0 for kind in ("other", "double", "false")},
@@ -142,14 +144,14 @@ def test_the_range_is_the_longest_without_a_gap(rates, bearing, closest, farthes
     assert found_range(rows_of(rates), bearing) == (closest, farthest)
 
 
-def test_the_summary_has_the_ranges_of_each_world_and_light():
+def test_the_summary_has_the_ranges_of_each_world_and_light(as_before):
     rows = rows_of({0.34: 1.0, 4.0: 1.0, 5.0: 1.0, 6.0: 0.5})
     rows += rows_of({1.0: 1.0, 4.0: 0.95}, bearing=30.0)
     rows += rows_of({1.0: 1.0}, light="dark")
     rows += rows_of({1.0: 0.0}, world="docking")
     ranges = ranges_of(rows)
     lines = describe({"ranges": ranges, "dots": {"frames": 8, "false_detections": 2}})
-    assert_as_before([*lines_of(dict(enumerate(ranges)), "range"), *lines], HERE / "ranges.txt")
+    as_before([*lines_of(dict(enumerate(ranges)), "range"), *lines], "ranges.txt")
 
 
 # ---- Figures ----
@@ -166,7 +168,7 @@ def test_the_picture_is_drawn_of_whatever_was_tried():
     assert len(heat_map("marker_panel", rows[:2]).axes) == 1
 
 
-def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_there():
+def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_there(as_before):
     rows = rows_of({0.5: 1.0, 1.0: 1.0, 2.0: 1.0, 3.0: 0.2, 4.0: 0.0})
     picture = np.zeros((480, 640), np.uint8)
     corners = np.array([[[300, 200], [340, 200], [340, 240], [300, 240]]], dtype=float)
@@ -176,13 +178,13 @@ def test_the_picture_names_the_ends_of_the_range_and_shows_what_is_seen_from_the
     }
     figure = range_figure(rows, pictures)
     assert "from 0.5 m to 2 m" in figure._suptitle.get_text()
-    assert_as_before(lines_of_figure(figure), HERE / "range.txt")
+    as_before(lines_of_figure(figure), "range.txt")
 
 
-def test_a_heat_map_tells_hidden_cells_from_those_where_nothing_is_found():
+def test_a_heat_map_tells_hidden_cells_from_those_where_nothing_is_found(as_before):
     rows = rows_of({1.0: 0.0, 2.0: 0.0, 3.0: 0.955})
     rows[1]["visible"] = False
-    assert_as_before(lines_of_figure(heat_map("docking", rows)), HERE / "heat_map.txt")
+    as_before(lines_of_figure(heat_map("docking", rows)), "heat_map.txt")
 
 
 # ---- The job ----
@@ -231,9 +233,6 @@ def test_a_world_without_room_has_no_heat_map(tmp_path):
 
 
 def test_the_order_of_the_work_makes_no_difference(results, tmp_path):
-    def backwards(task, numbers):
-        return [(number, task(number)) for number in reversed(numbers)]
-
     run_detection_range(tmp_path, SMALL, backwards)
     assert names_in(results[0]) == names_in(tmp_path)
     for name in names_in(tmp_path):

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marker_images import CAMERA
 from shared import cases
 
-from bullet_lab.core.pinhole import PinholeCamera
 from bullet_lab.core.pose import Pose
 from bullet_lab.studies.detection_range.trial import (
     MARKER,
@@ -21,8 +21,6 @@ from bullet_lab.studies.detection_range.trial import (
     strewn_shots,
 )
 from bullet_lab.studies.worlds import lit_world
-
-CAMERA = PinholeCamera(640, 480, 502.3, 502.3, 319.5, 239.5)
 
 
 def cell(distance, degrees=0.0, world="docking", light="default"):

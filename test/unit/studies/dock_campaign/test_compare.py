@@ -2,18 +2,15 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
-import pytest
-from alike import assert_as_before, lines_of
+from alike import lines_of
 from scipy import stats
-from shared import cases
+from shared import cases, refuses
 from study_runs import csv_rows
 from test_dock_campaign import fake_trial
 from test_dock_summary import record
 
 from bullet_lab.core.files import FileError
-from bullet_lab.errors import LabError
 from bullet_lab.studies.dock_campaign.compare import (
     compare,
     figures_of,
@@ -57,7 +54,7 @@ def test_few_values_leave_the_far_end_open():
     assert quantile([], 0.5) == {"value": None, "low": None, "high": None}
 
 
-def test_figures_of_one_campaign_and_of_pairs_are_as_before():
+def test_figures_of_one_campaign_and_of_pairs_are_as_before(as_before):
     records = [
         record(0, distance_error_m=0.0),
         record(1, "inaccurate", lateral_error_m=0.02),
@@ -71,7 +68,7 @@ def test_figures_of_one_campaign_and_of_pairs_are_as_before():
     paired = paired_figures([docked, docked, lost, late], [faster, lost, docked, late])
     told += lines_of(paired, "pairs")
     told += lines_of(paired_figures([docked] * 6, [late] * 6), "late")
-    assert_as_before(told, Path(__file__).with_name("compared.txt"))
+    as_before(told, "compared.txt")
 
 
 def test_table_picture_and_numbers_are_left(tmp_path):
@@ -99,7 +96,7 @@ def test_other_dockings_are_refused(tmp_path):
         ("more", "one", 5, "lacks 2 of 5"),
         ("more", "broken", 5, "not the log"),
     ):
-        with pytest.raises(LabError, match=said):
+        with refuses(said):
             compare(tmp_path / folder, tmp_path / beside / LOG, dockings)
-    with pytest.raises(FileError, match="cannot read"):
+    with refuses("cannot read", FileError):
         compare(tmp_path / "more", tmp_path / "nowhere", 5)

@@ -1,9 +1,8 @@
 """The figures of a campaign."""
 
 import json
-from pathlib import Path
 
-from alike import assert_as_before, lines_of
+from alike import lines_of
 
 from bullet_lab.studies.dock_campaign.results import campaign_summary
 
@@ -50,10 +49,10 @@ def campaigns():
     yield "crashed", [crashed(0)]
 
 
-def test_summaries_are_as_before():
+def test_summaries_are_as_before(as_before):
     told = []
     for name, records in campaigns():
         summary = campaign_summary(records)
         json.dumps(summary, allow_nan=False)
         told += lines_of(summary, name)
-    assert_as_before(told, Path(__file__).with_name("summaries.txt"))
+    as_before(told, "summaries.txt")

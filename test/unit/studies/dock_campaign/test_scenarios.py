@@ -1,6 +1,4 @@
-from pathlib import Path
-
-from alike import assert_as_before, lines_of
+from alike import lines_of
 
 from bullet_lab.studies.dock_campaign.stress import STRESSES, Stress, stress_columns, world_under
 from bullet_lab.studies.dock_campaign.trial import (
@@ -39,8 +37,8 @@ def told():
             yield from lines_of(model if model.name == "cover" else model.pose, model.name)
 
 
-def test_scenarios_are_drawn_as_before():
-    assert_as_before(told(), Path(__file__).with_name("scenarios.txt"))
+def test_scenarios_are_drawn_as_before(as_before):
+    as_before(told(), "scenarios.txt")
 
 
 def test_starts_leave_room_to_turn():

@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import wrap
 from bullet_lab.core.trajectory import Trajectory, path_error
-from bullet_lab.errors import LabError
 from bullet_lab.noise.noisy_paths import noisy_blocks, noisy_steps
 from bullet_lab.noise.systematic import path_of
 from bullet_lab.studies.noise_study.regions import level_rule
@@ -22,12 +21,12 @@ from bullet_lab.studies.noise_study.statistics import (
 from bullet_lab.studies.paths import resample, tum_text
 
 
-def square(laps=1, rest=10):
+def square(laps=1):
     """Rest, then sides of 2 m and turns on the spot to the right, at 20 Hz and 0.2 m/s."""
     drive, turn = np.zeros((200, 3)), np.zeros((60, 3))
     drive[:, 0] = 0.01
     turn[:, 2] = -math.pi / 2 / 60
-    moves = np.concatenate([np.zeros((rest, 3)), *[drive, turn] * 4 * laps])
+    moves = np.concatenate([np.zeros((10, 3)), *[drive, turn] * 4 * laps])
     poses = se2.compose((1.0, 2.0, 0.5), path_of(moves))
     return Trajectory(7.0 + 0.05 * np.arange(len(poses)), poses)
 
@@ -115,7 +114,7 @@ def test_turning_round_and_round_is_no_end_of_laps():
 
 
 def test_a_delta_beyond_the_path():
-    with pytest.raises(LabError, match="no two poses are 100 m apart"):
+    with refuses("no two poses are 100 m apart"):
         pairs_at_distance(square(), 100.0)
 
 

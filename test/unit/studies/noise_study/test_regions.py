@@ -43,22 +43,22 @@ def line(length=4.0, count=40):
     return trajectory_of([(length / count, 0.0, 0.0)] * count)
 
 
-def square(count=12, turns=4, sides=4):
-    side = [(2.0 / count, 0.0, 0.0)] * count + [(0.0, 0.0, 0.5 * math.pi / turns)] * turns
+def square(sides=4):
+    side = [(2.0 / 12, 0.0, 0.0)] * 12 + [(0.0, 0.0, math.pi / 8)] * 4
     return trajectory_of(side * sides)
 
 
-def random_path(seed, count=60):
+def random_path(seed):
     generator = np.random.default_rng(seed)
-    turns = np.convolve(generator.normal(0.0, 0.3, count + 9), np.ones(10) / 10, "valid")
-    ahead = generator.uniform(-0.05, 0.2, count)
-    return trajectory_of(np.column_stack([ahead, np.zeros(count), turns]))
+    turns = np.convolve(generator.normal(0.0, 0.3, 69), np.ones(10) / 10, "valid")
+    ahead = generator.uniform(-0.05, 0.2, 60)
+    return trajectory_of(np.column_stack([ahead, np.zeros(60), turns]))
 
 
-def counted(trajectory, model, std, paths, seed=80):
+def counted(trajectory, model, std, paths):
     steps = noisy_steps(trajectory.poses, level_rule(model, std))
     regions = Regions(trajectory, steps, theory(steps))
-    for block in noisy_blocks(steps, study_generator(seed, model, std, 1.0), paths):
+    for block in noisy_blocks(steps, study_generator(80, model, std, 1.0), paths):
         regions.add(block)
     return regions
 

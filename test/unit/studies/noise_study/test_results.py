@@ -1,11 +1,9 @@
 """What the study leaves behind."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before
 from study_runs import run_main, summary_of
 
 from bullet_lab.core.trajectory import Trajectory, read_tum
@@ -49,7 +47,7 @@ def results(tmp_path_factory):
     return folder, summary, said.splitlines()
 
 
-def test_files_and_tables_are_as_before(results):
+def test_files_and_tables_are_as_before(results, as_before):
     folder, _, said = results
     told = [re.sub(r" [\d.]+ s;", "", line) for line in said]
     told += sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
@@ -57,7 +55,7 @@ def test_files_and_tables_are_as_before(results):
         told += (folder / f"{name}.csv").read_text().replace(",", " ").splitlines()[::3]
     for path in sorted(folder.rglob("*.tum")):
         told += path.read_text().splitlines()[::40]
-    assert_as_before(told, Path(__file__).with_name("results.txt"))
+    as_before(told, "results.txt")
 
 
 def test_metrics_of_a_lap_that_a_low_rate_does_not_see():

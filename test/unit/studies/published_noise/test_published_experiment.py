@@ -1,11 +1,9 @@
 """The answer to the report's open question, with fewer seeds than the job."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from alike import assert_as_before
 from scipy.stats import chi2
 from study_runs import names_in, run_main, summary_of
 
@@ -126,14 +124,14 @@ def test_each_of_three_defects_has_its_own_mark_on_the_third_side(run):
     assert third["aliasing + unwrapped"] < 0.1 * best
 
 
-def test_tables(run):
+def test_tables(run, as_before):
     folder, _, _ = run
     told = sorted(names_in(folder))
     for name, every in (("combinations", 3), ("lengths", 31)):
         lines = (folder / f"{name}.csv").read_text().replace(",", " ").splitlines()
         told += [f"{len(lines)}", *lines[::every]]
     # They are rounded to 1e-5.
-    assert_as_before(told, Path(__file__).with_name("tables.txt"), within=2e-5)
+    as_before(told, "tables.txt", within=2e-5)
 
 
 def test_blocks_do_not_show(drive):

@@ -1,7 +1,6 @@
-from pathlib import Path
-
 import numpy as np
-from alike import assert_as_before, lines_of_figure
+from alike import lines_of_figure
+from test_published_results import CORNERS
 
 from bullet_lab.noise.published_noise import ALL, DEFECTS, NONE, Defects
 from bullet_lab.studies.published_noise.figures import (
@@ -19,7 +18,6 @@ from bullet_lab.studies.published_noise.results import (
     Result,
 )
 
-CORNERS = np.array([(0, 0), (2, 0), (2, -2), (0, -2), (0, 0)], dtype=float)
 FIGURE_1B = PublishedFigure(CORNERS + 0.01, np.arange(5), CORNERS, np.zeros(6))
 EXPLAINS, EXCLUDED, OPEN = PValue(0.5, 0.6), PValue(0.001, 0.002), PValue(0.04, 0.1)
 
@@ -56,6 +54,6 @@ def figures():
     yield first_turns_figure({ALL: run, Defects(aliasing=True): run}, (1.0, 2.0))
 
 
-def test_figures_are_as_before():
+def test_figures_are_as_before(as_before):
     told = [line for figure in figures() for line in lines_of_figure(figure)]
-    assert_as_before(told, Path(__file__).parent / "figures.txt")
+    as_before(told, "figures.txt")

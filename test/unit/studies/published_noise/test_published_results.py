@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 from scipy.stats import beta
-from shared import cases
+from shared import cases, refuses
 
-from bullet_lab.errors import LabError
 from bullet_lab.noise.published_noise import NONE, Defects, combinations
 from bullet_lab.studies.published_noise.results import (
     EVIDENCE,
-    NEEDED,
-    RULED_OUT,
     UNKNOWN,
     PValue,
     Result,
@@ -29,18 +26,18 @@ ONE = 0.1 * np.arange(1, 100)[:, np.newaxis]
 MANY = np.tile(np.arange(1, 1000)[:, np.newaxis], 2)
 
 
-@pytest.mark.parametrize(
-    ("measured", "runs", "value"),
-    [
-        # Of one length it is twice its rank; of several the most unusual one counts.
-        ([0.31], ONE, 2 * 4 / 100),
-        ([9.65], ONE, 2 * 4 / 100),
-        ([5.0], ONE, 1.0),
-        ([100.0], ONE, 2 / 100),
-        ([500, 9.5], MANY, 2 * 2 * 10 / 1000),
-    ],
-)
-def test_p_values(measured, runs, value):
+@cases("""
+measured, value:
+  # Of one length it is twice its rank among 100; of several the most unusual one counts: here the
+  # tenth of 1000.
+  - [[0.31], 0.08]
+  - [[9.65], 0.08]
+  - [[5.0], 1.0]
+  - [[100.0], 0.02]
+  - [[500, 9.5], 0.04]
+""")
+def test_p_values(measured, value):
+    runs = ONE if len(measured) == 1 else MANY
     assert p_value(measured, runs).value == pytest.approx(value)
 
 
@@ -70,9 +67,7 @@ def judged(explains, name):
     return verdict(name, found, "all")
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"), [("aliasing", NEEDED), ("unbent", RULED_OUT), ("sampled", UNKNOWN)]
-)
+@cases("name, expected: [[aliasing, needed], [unbent, ruled out], [sampled, cannot be told]]")
 def test_verdicts(name, expected):
     assert judged(lambda d: d.aliasing and not d.unbent, name) == expected
     assert judged(lambda d: False, name) == UNKNOWN
@@ -148,7 +143,7 @@ def test_a_path_of_many_vertices_has_corners_too():
 
 @pytest.mark.parametrize("vertices", [CORNERS[:4], np.zeros((8, 2))])
 def test_four_vertices_are_no_square(vertices):
-    with pytest.raises(LabError, match="four sides"):
+    with refuses("four sides"):
         find_corners(vertices)
 
 
@@ -176,8 +171,8 @@ text, error:
 """)
 def test_a_bad_figure_file(tmp_path, text, error):
     path = tmp_path / "figure.csv"
-    with pytest.raises(LabError, match="cannot read"):
+    with refuses("cannot read"):
         read_published_figure(path)
     path.write_text(text)
-    with pytest.raises(LabError, match=error):
+    with refuses(error):
         read_published_figure(path)

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from shared import PACKAGE
+from shared import PACKAGE, cases, refuses
 
-from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.simulation.plugins.wheel_drives import DiffDrive
 from bullet_lab.studies.umbmark.robots import FloorRobot
@@ -43,9 +42,11 @@ def roll(robot):
     return measured() - before
 
 
-@pytest.mark.parametrize(
-    ("files", "diameter", "base"), [((CAMERA, ""), 0.28, 0.38), ((CART, CONTROL), 0.16, 0.4)]
-)
+@cases(f"""
+files, diameter, base:
+  - [["{CAMERA}", ""], 0.28, 0.38]
+  - [["{CART}", "{CONTROL}"], 0.16, 0.4]
+""")
 def test_robots_assume_other_wheels_until_they_are_corrected(built, files, diameter, base):
     left, right = WRONG.diameters
     wrong = built(*files, WRONG, NONE)
@@ -90,22 +91,20 @@ def test_the_pose_is_that_of_the_middle_between_the_wheels(built, changed):
     assert robot.pose()[:2] == pytest.approx((x, y), abs=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("robot", "controller", "said"),
-    [
-        (CART, "", "there is no plugin libgazebo_ros_diff_drive.so"),
-        (CAMERA, CONTROL, "there is no plugin libgazebo_ros_control.so"),
-        (CART, CART, "cannot read|there is no controller"),
-    ],
-)
+@cases(f"""
+robot, controller, said:
+  - ["{CART}", "", there is no plugin libgazebo_ros_diff_drive.so]
+  - ["{CAMERA}", "{CONTROL}", there is no plugin libgazebo_ros_control.so]
+  - ["{CART}", "{CART}", cannot read|there is no controller]
+""")
 def test_robots_without_wheels_to_calibrate_are_refused(robot, controller, said):
-    with pytest.raises(LabError, match=said):
+    with refuses(said):
         FloorRobot(robot, controller, NONE, NONE)
 
 
 def test_the_log_says_once_why_a_plugin_does_not_work(changed, caplog):
     robot = changed(("<leftJoint>", "<leftJoint>no_", 1))
-    with pytest.raises(LabError, match="there is no plugin libgazebo_ros_diff_drive.so that works"):
+    with refuses("there is no plugin libgazebo_ros_diff_drive.so that works"):
         FloorRobot(robot, "", NONE, NONE)
     (record,) = caplog.records
     assert "no movable joint 'no_" in record.message

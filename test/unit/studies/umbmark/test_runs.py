@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from shared import cases
+from shared import cases, refuses
 
 from bullet_lab.core import se2
-from bullet_lab.core.trajectory import CSV_HEADER, Trajectory
+from bullet_lab.core.trajectory import Trajectory
 from bullet_lab.drive import Square
-from bullet_lab.errors import LabError
 from bullet_lab.noise.systematic import SystematicErrors
 from bullet_lab.studies.paths import tum_text
 from bullet_lab.studies.umbmark.estimate import fit, perfect_square, read_runs
@@ -56,7 +55,7 @@ def test_a_truth_of_another_time_is_refused(shift, share, tmp_path):
     true, reported = recorded(0.5)
     count = int(share * len(true.stamps))
     write_pair(tmp_path, "a", Trajectory(true.stamps[:count] + shift, true.poses[:count]), reported)
-    with pytest.raises(LabError, match="are both of one run and one clock"):
+    with refuses("are both of one run and one clock"):
         read_runs(tmp_path, TOPICS, 1.0, 0.4)
 
 
@@ -78,16 +77,15 @@ def test_a_perfect_square_comes_back():
         assert square[6][:2] == pytest.approx((2.0, sign * 2.0))
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("direction,x,y,yaw\nleft,0,0,0\n", "line 2: the direction has to be one of cw, ccw"),
-        ("direction,x,y,yaw\ncw,0,nan,0\n", "line 2"),
-        ("", "no bag, no table"),
-        (CSV_HEADER + "\n0,0,0,0,0,0,0\n1,1,0,0,1,0,0\n", "not once round"),
-    ],
-)
+@cases(r"""
+text, said:
+  - ["direction,x,y,yaw\nleft,0,0,0\n", "line 2: the direction has to be one of cw, ccw"]
+  - ["direction,x,y,yaw\ncw,0,nan,0\n", line 2]
+  - ["", "no bag, no table"]
+  - - "stamp,x,y,yaw,noisy_x,noisy_y,noisy_yaw\n0,0,0,0,0,0,0\n1,1,0,0,1,0,0\n"
+    - not once round
+""")
 def test_what_cannot_be_used_is_refused(text, said, tmp_path):
     (tmp_path / "run.csv").write_text(text)
-    with pytest.raises(LabError, match=said):
+    with refuses(said):
         read_runs(tmp_path, TOPICS, 1.0, 0.4)
