@@ -5,12 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from shared import cases
 
+from bullet_lab.core.parameters import declarations
 from bullet_lab.docking.database import (
     ERRORS,
+    Dock,
+    DockMarker,
     DockTolerance,
     DockUncertainty,
+    DockWalls,
     docking_errors,
     drawn_error,
     find_dock,
@@ -18,7 +23,7 @@ from bullet_lab.docking.database import (
     parse_docks,
     read_docks,
 )
-from bullet_lab.docking.types import DockingError
+from bullet_lab.docking.types import DockingError, DockingSettings
 from bullet_lab.errors import LabError
 
 SHIPPED = Path(__file__).parents[3] / "config" / "docks.yaml"
@@ -36,20 +41,15 @@ docks:
 """
 
 
-def test_reads_a_dock():
-    dock = parse_docks(GOOD)["home"]
-    assert dock.frame == "map"
-    assert dock.pose == pytest.approx((1.0, -2.0, math.pi / 2.0))
-    assert (dock.marker.id, dock.marker.size) == (3, 0.1)
-    assert dock.walls.depth == 2.0
-    assert dock.tolerance.yaw == pytest.approx(math.radians(0.5))
-    assert dock.uncertainty == DockUncertainty(0.0, math.pi)
+KINDS = DockMarker, DockWalls, DockTolerance, DockUncertainty, Dock, DockingSettings
 
 
-def test_the_shipped_database_is_good():
-    docks = read_docks(SHIPPED)
-    assert docks["nested_dock"].marker.size == 0.075
-    assert docks["panel"].walls is None
+def test_what_is_read_and_its_limits_are_as_before():
+    found = [*lines_of(parse_docks(GOOD), "good"), *lines_of(read_docks(SHIPPED), "shipped")]
+    for kind in KINDS:
+        said = {name: (one.doc, one.allowed) for name, one in declarations(kind).items()}
+        found += lines_of(said, kind.__name__)
+    assert_as_before(found, Path(__file__).with_name("docks.txt"))
 
 
 @cases(r"""

@@ -2,15 +2,26 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import docking_standin as standin
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.pose import Pose
-from bullet_lab.docking.geometry import MarkerVisibility, clearance, misfit, wall_boxes
+from bullet_lab.docking.geometry import (
+    MarkerVisibility,
+    Viewpoint,
+    clearance,
+    corner_points,
+    extent_of_walls,
+    misfit,
+    wall_boxes,
+    whole_in_image,
+)
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.0, dropout=0.0, tilt=0.0)
 DOCK = standin.make_dock(STAND)
@@ -54,6 +65,30 @@ def test_the_nearer_edges_of_the_image_count(cx, cy):
     assert visibility.half_angle(1e9) == pytest.approx(math.atan(179.5 / standin.CAMERA.fx))
     seen = visibility.unobstructed((-0.72, -0.71), 0.0)
     assert seen.tolist() == [True, False]
+
+
+PLACES = np.random.default_rng(5).uniform((-5.0, -1.5, -0.8), (0.5, 1.5, 0.8), (300, 3))
+DISTANCES = np.linspace(0.2, 1.2, 101)
+
+
+def test_walls_and_sight_are_as_before():
+    mount = replace(standin.MOUNT, y=0.05, roll=0.1, pitch=-0.2, yaw=0.3)
+    view = Viewpoint(standin.CAMERA, mount, (0.3, -0.2, 0.4))
+    corners = corner_points(np.array([2.0, 0.3, 0.2, 0.6, 0.1]), 0.3)
+    pixels = view.pixels(view.optical(corners))
+    found = {"seen": (pixels, view.origin, view.line_of_sight(pixels, 0.3))}
+    for walls in (True, False):
+        dock = standin.make_dock(replace(STAND, walls=walls))
+        sight = MarkerVisibility(dock, standin.CAMERA, 0.3)
+        boxes, farther = wall_boxes(dock), sight.up_to(6.0, 0.4)
+        found[walls] = {
+            "boxes": (boxes, [extent_of_walls(boxes), sight.farthest]),
+            "clear": clearance(PLACES[:, :2], boxes),
+            "sight": (sight.visible(PLACES), sight.found(PLACES, 0.5), farther.visible(PLACES)),
+            "angle": (sight.half_angle(-PLACES[:, 0]), farther.half_angle(-PLACES[:, 0])),
+            "whole": whole_in_image(dock, standin.CAMERA, replace(mount, yaw=0.0), DISTANCES),
+        }
+    assert_as_before(lines_of(found, ""), Path(__file__).with_name("sight.txt"))
 
 
 def test_a_camera_is_turned_about_fixed_axes():

@@ -1,11 +1,13 @@
 """Tests of where a docking lets a robot go and look."""
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import docking_standin as standin
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from shared import cases
 
 from bullet_lab.docking.belief import DockBelief
@@ -17,14 +19,15 @@ from bullet_lab.docking.progress import DockingProgress
 from bullet_lab.docking.types import TURNING_RADIUS, Observation, Odometry, Sighting
 
 # Too high for the marker: a copy, small and right before the camera or large and far away.
-COPY = (320.0, 180.0) + 60.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+COPY, MARKER = (320.0, 180.0) + 60.0 * SQUARE, (319.5, 233.3) + 10.4 * SQUARE
 KNOWN = GaussianPose(np.array([5.0, 0.0, 0.0]), 1e-6 * np.eye(3))
 
 
-def docking_at_the_origin(marker_size, corners=None):
+def docking_at_the_origin(marker_size, corners=None, walls=True):
     """A docking that has taken a few images, of a print or of nothing."""
     marker = DockMarker(standin.DICTIONARY, 0, marker_size, 0.5)
-    stand = standin.Stand((0.0, 0.0, 0.0), dock=(5.0, 0.0, 0.0), marker=marker)
+    stand = standin.Stand((0.0, 0.0, 0.0), dock=(5.0, 0.0, 0.0), marker=marker, walls=walls)
     dock, rng = standin.make_dock(stand), np.random.default_rng(1)
     belief = DockBelief(dock, dock.pose, standin.MOUNT, stand.settings, rng)
     seen = () if corners is None else (Sighting(0, standin.DICTIONARY, corners),)
@@ -83,16 +86,33 @@ def test_no_way_creeps_towards_a_wall_however_short_it_is(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("corners", "far"),
+    "name, size, corners, walls",
     [
-        (None, [3.002913, 2.702996, 3.302452, 2.702693]),
-        (COPY, [3.380262, 2.796225, 2.796225, 2.810238]),
+        ("nothing is seen", 0.075, None, True),
+        # Looks for a larger print from nearer each time once one was seen.
+        ("a copy is seen", 0.075, COPY, True),
+        ("no walls", 0.2, COPY, False),
+        ("the marker is seen", 0.2, MARKER, True),
     ],
 )
-def test_looks_for_a_larger_print_from_nearer_each_time_once_one_was_seen(corners, far):
-    search = docking_at_the_origin(0.075, corners).search
-    found = [math.dist(search.next_view().way[-1], (5.0, 0.0)) for _ in far]
-    assert found == pytest.approx(far, abs=1e-6)
+def test_ways_and_views_are_as_before(name, size, corners, walls):
+    docking = docking_at_the_origin(size, corners, walls)
+    belief, paths, search = docking.belief, docking.paths, docking.search
+    ways = [paths.way_to_staging(KNOWN), paths.way_aside(KNOWN, True), paths.way_aside(KNOWN, False)]
+    costmap = paths.costmap()
+    found = {
+        "ways": tuple(map(np.array, ways)),
+        "costs": (costmap.touch.sum(axis=0), costmap.costs[::7, ::9]),
+        "sight": [search.expects_marker(), search.use_cue(), search.chance_to_see()],
+        "belief": (belief.samples(20), belief.obstacles()),
+    }
+    for number in range(3):
+        view = search.next_view()
+        found[number] = view and (np.array(view.way), [view.heading])
+        search.add_failed_look()
+        found[f"left {number}"] = belief.particles.mass, search.chance_to_see()
+    text = Path(__file__).with_name(f"{name.replace(' ', '_')}.txt")
+    assert_as_before(lines_of(found, ""), text)
 
 
 def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):
@@ -109,6 +129,21 @@ def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):
     assert len(ends) == 12 * 40
     # One after the other, each place is asked for once, whatever the headings there.
     assert len(set(ends[:40])) == 40
+
+
+@pytest.mark.parametrize("walls", [True, False])
+def test_the_axis_is_as_before(walls):
+    axis = docking_at_the_origin(0.2, walls=walls).axis
+    robots = np.random.default_rng(3).normal((-1.2, 0.0, 0.0), (0.8, 0.12, 0.2), (300, 3))
+    robots[::2, 1:] *= 0.1
+    found = []
+    for robot in robots.tolist():
+        deviation = 0.1 * abs(robot[2])
+        flags = axis.leads_at_an_edge(robot, deviation), axis.is_in_lane(robot, deviation)
+        commands = *axis.forwards(robot), *axis.backwards(robot, -robot[0])
+        found += lines_of([*commands, axis.left(robot), *flags], axis.check_gate(robot))
+        found[-1] += " within" * axis.is_within_walls(robot)
+    assert_as_before(found, Path(__file__).with_name(f"axis_{walls}.txt"))
 
 
 @cases("share, retries, unsure: [[0.41, 1, 1], [0.41, 2, 0], [0.39, 0, 0]]")
