@@ -150,6 +150,12 @@ def with_jitter():
     return StepPairs(drive() + np.diff(jitter, axis=0), odometry)
 
 
+def bounded():
+    """Errors of one size each."""
+    errors = np.random.default_rng(4).choice([-0.01, 0.01], drive().shape)
+    return StepPairs(drive(), (drive() + errors)[np.newaxis])
+
+
 def test_right_models_fit_and_wrong_ones_are_told_as_before():
     found = {
         "right": tuple(judged(rule, rule.name) for rule in RULES),
@@ -157,6 +163,7 @@ def test_right_models_fit_and_wrong_ones_are_told_as_before():
         # Nobody asked for them.
         "errors": judged(RateInvariantRule(0.005), "rate_invariant", SystematicErrors(0.0, 0.1)),
         "jitter": goodness_of(with_jitter(), "rate_invariant"),
+        "bounded": goodness_of(bounded(), "probabilistic"),
         "alone": goodness_of(with_jitter(), "rate_invariant", False),
         "few": goodness_of(drawn(RULES[2], 1, steps=drive()[8:16]), "probabilistic"),
         "turns": goodness_of(drawn(RULES[1], 1, steps=drive()[12:22]), "rate_invariant"),
