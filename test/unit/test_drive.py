@@ -10,7 +10,7 @@ import pytest
 from alike import assert_as_before, lines_of
 from shared import cases
 
-from bullet_lab.core.parameters import ParameterError, read_parameters
+from bullet_lab.core.parameters import ParameterError, declarations, read_parameters
 from bullet_lab.core.se2 import wrap
 from bullet_lab.drive import (
     CLOSED_LOOP,
@@ -147,6 +147,13 @@ def test_what_cannot_be_driven_is_refused(kind, values):
     given = {f"~{name}": value for name, value in values.items()}
     with pytest.raises(ParameterError):
         read_parameters({"square": Square, "goal": GoalLimits}[kind], given.get)
+
+
+@pytest.mark.parametrize("kind", [Square, GoalLimits])
+def test_parameters_and_their_limits_are_as_before(kind):
+    said = {name: (one.doc, one.allowed) for name, one in declarations(kind).items()}
+    text = Path(__file__).with_name("driven") / f"{kind.__name__}.txt"
+    assert_as_before(lines_of((kind(), said), ""), text)
 
 
 @pytest.mark.parametrize("least", [Square(1, 0.02, 0.02, 0.02, 0), GoalLimits(*[0.02] * 8)])

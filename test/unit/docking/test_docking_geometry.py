@@ -29,12 +29,6 @@ BOXES = wall_boxes(DOCK)
 VISIBILITY = MarkerVisibility(DOCK, standin.CAMERA, standin.MOUNT.z).up_to(4.5, 0.0)
 
 
-@cases("x, y, away: [[-1.0, 0.2, 0.3], [-0.1, 0.0, 0.1], [-3.0, 0.6, 1.0], [-1.0, 0.6, 0.0]]")
-def test_distance_from_the_walls(x, y, away):
-    assert clearance(np.array([x, y]), BOXES) == pytest.approx(away)
-    assert clearance(np.zeros(2), np.empty((0, 4))) == math.inf
-
-
 def test_sight_is_never_promised_where_there_is_none():
     rng = np.random.default_rng(4)
     places = rng.uniform((-6.0, -3.0, -1.2), (-0.2, 3.0, 1.2), (3000, 3))
@@ -42,20 +36,6 @@ def test_sight_is_never_promised_where_there_is_none():
     assert len(promised) > 100
     for robot in se2.compose(np.array(promised), (-standin.MOUNT.x, 0.0, 0.0)):
         assert standin.see_print(robot, standin.Print(), STAND, rng) is not None
-
-
-@cases("""
-distance, degrees, seen:
-  # The walls hide the marker beyond 14 degrees. Too near, it leaves the image.
-  - [4.0, 8.0, true]
-  - [4.0, 15.0, false]
-  - [0.42, 0.0, true]
-  - [0.25, 0.0, false]
-""")
-def test_the_marker_is_seen_between_the_walls(distance, degrees, seen):
-    angle = math.radians(degrees)
-    x, y = -distance * math.cos(angle), distance * math.sin(angle)
-    assert bool(VISIBILITY.unobstructed(x, y)) is seen
 
 
 @cases("cx, cy: [[219.5, 139.5], [419.5, 339.5]]")

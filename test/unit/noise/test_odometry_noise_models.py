@@ -5,9 +5,11 @@ The parameter std is checked where it comes in, and nowhere else on its way to a
 
 import sys
 from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from recorded_paths import make_rule
 from shared import cases
 
@@ -32,6 +34,7 @@ from bullet_lab.noise.odometry_noise import (
     register,
     rule_of,
 )
+from bullet_lab.noise.systematic import SystematicErrors, SystematicSpread
 from bullet_lab.studies.squares import SquaresSettings
 
 
@@ -98,6 +101,14 @@ def test_a_parameter_of_several_models_is_declared_once(slip):
     alphas = ["alpha1", "alpha2", "alpha3", "alpha4"]
     assert names == ["std", *alphas, "way_std", "heading_std", "turn_std", "slip"]
     assert set(declarations(ReportRule)) == {"std"}
+
+
+def test_parameters_and_their_limits_are_as_before():
+    found = {}
+    for kind in (*MODELS.values(), SystematicErrors, SystematicSpread):
+        said = {name: (one.doc, one.allowed) for name, one in declarations(kind).items()}
+        found[kind.__name__] = kind(), said
+    assert_as_before(lines_of({**found, **PRESETS}, ""), Path(__file__).with_name("models.txt"))
 
 
 @pytest.mark.parametrize("name", PRESETS)
