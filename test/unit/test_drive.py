@@ -226,16 +226,6 @@ def test_goals_are_driven_to_as_before(name, goal, limits, command):
     check_as_before(name.replace(" ", "_"), [pose], commands)
 
 
-def test_turns_on_the_spot_from_60_degrees_on_until_6_are_left():
-    driver = GoalDriver((1.0, 0.0, 0.0), GoalLimits(acceleration=0.01, turn_acceleration=0.1))
-    for degrees, ahead in ((59.5, 1), (60.5, 0), (6.5, 0), (5.5, 1), (6.5, 1), (59.5, 1)):
-        off = math.radians(degrees)
-        # So that it can brake.
-        turn = min(0.8, 2.0 * off) if ahead else min(math.sqrt(0.2 * off), 2.0 * off)
-        command = driver.command((0.0, 0.0, -off), 100.0)
-        assert command == pytest.approx((math.sqrt(0.02) * ahead * math.cos(off), turn))
-
-
 def test_drives_on_where_a_turn_has_moved_it_off_the_goal():
     driver = GoalDriver((1.0, 0.0, 1.5))
     assert driver.command((0.98, 0.0, 0.0), PERIOD)[1] > 0.0

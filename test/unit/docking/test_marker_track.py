@@ -1,6 +1,5 @@
 """Tests of what is known of a marker: its pose, both its yaws, and whether it is real."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 

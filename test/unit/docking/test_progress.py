@@ -8,13 +8,11 @@ import docking_standin as standin
 import numpy as np
 import pytest
 from alike import assert_as_before, lines_of
-from shared import cases
 
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import DockMarker
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import clearance, wall_boxes
-from bullet_lab.docking.paths import WALL_MARGIN
 from bullet_lab.docking.progress import DockingProgress
 from bullet_lab.docking.types import TURNING_RADIUS, Observation, Odometry, Sighting
 
@@ -71,8 +69,8 @@ def test_no_way_creeps_towards_a_wall_however_short_it_is(monkeypatch):
 def test_ways_and_views_are_as_before(name, size, corners, walls):
     docking = docking_at_the_origin(size, corners, walls)
     belief, paths, search = docking.belief, docking.paths, docking.search
-    ways = [paths.way_to_staging(KNOWN), paths.way_aside(KNOWN, True), paths.way_aside(KNOWN, False)]
-    costmap = paths.costmap()
+    aside = [paths.way_aside(KNOWN, to_the_left) for to_the_left in (True, False)]
+    ways, costmap = [paths.way_to_staging(KNOWN), *aside], paths.costmap()
     found = {
         "ways": tuple(map(np.array, ways)),
         "costs": (costmap.touch.sum(axis=0), costmap.costs[::7, ::9]),
@@ -118,13 +116,3 @@ def test_the_axis_is_as_before(walls):
         found += lines_of([*commands, axis.left(robot), *flags], axis.check_gate(robot))
         found[-1] += " within" * axis.is_within_walls(robot)
     assert_as_before(found, Path(__file__).with_name(f"axis_{walls}.txt"))
-
-
-@cases("share, retries, unsure: [[0.41, 1, 1], [0.41, 2, 0], [0.39, 0, 0]]")
-def test_a_yaw_that_is_unsure_is_measured_again_twice_at_most(monkeypatch, share, retries, unsure):
-    docking = docking_at_the_origin(0.2)
-    yaw = SimpleNamespace(deviation=share * docking.belief.dock.tolerance.yaw)
-    best = SimpleNamespace(learned=lambda: SimpleNamespace(yaw=yaw))
-    monkeypatch.setattr(docking.belief, "best", lambda: best)
-    docking.retries = retries
-    assert docking.is_yaw_unsure() == unsure
