@@ -69,10 +69,10 @@ old, new, said:
   - ["docks:", "doks:", docks is missing]
   - ["marker: {", "marker: [", no YAML]
   # In place of all of it.
-  - [null, "docks: {}", ""]
-  - [null, "docks: [1]", ""]
-  - [null, "3", ""]
-  - [null, "docks:\n  1: {}", ""]
+  - [null, "docks: {}", docks is no mapping from names]
+  - [null, "docks: [1]", docks is no mapping from names]
+  - [null, "3", not a mapping]
+  - [null, "docks:\n  1: {}\n  a: {}", docks is no mapping from names]
 """)
 def test_says_what_is_wrong(old, new, said):
     with pytest.raises(LabError) as error:
