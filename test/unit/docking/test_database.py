@@ -61,6 +61,7 @@ old, new, said:
   - ["id: 3", "id: 3.5", "docks: home: marker: id is 3.5"]
   - ["id: 3, ", "", "docks: home: marker: id is missing"]
   - ["pose: [1.0, -2.0, 90]", "pose: [1.0, -2.0]", "docks: home: pose is [1.0, -2.0]"]
+  - ["pose: [1.0, -2.0, 90]", "pose: [true, -2.0, 90]", "docks: home: pose is [True, -2.0, 90]"]
   - ["pose: [1.0, -2.0, 90]", "pose: [1.0, .inf, 90]", "docks: home: pose is [1.0, inf, 90]"]
   - ["frame: map", "frame: ''", "docks: home: frame is ''"]
   - ["height: 0.4", "height: 0.4, hieght: 1", "docks: home: marker: unknown key hieght"]

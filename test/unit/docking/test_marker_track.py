@@ -185,6 +185,10 @@ def test_what_is_known_after_a_drive_is_as_before():
         found += lines_of([*error, *known.deviations], f"{name}: error (m, m, rad), deviations")
         found += lines_of(track.learned()._asdict(), name)
         found += lines_of(track.components(), f"{name}: components")
+    pose = GaussianPose(np.array([2.0, 0.3, 0.2]), WIDE + 0.01)
+    others = np.array([[2.0, 0.3, 0.1], [1.0, 0.9, 0.8], [0.0, 0.0, -6.0]])
+    turned = [pose.turned_to(*to) for to in ((0.3, 0.01), (1.4, 0.01), (1.4, 0.1), (6.4, 0.02))]
+    found += lines_of((pose.excess(others), *turned), "excess of some poses, turned to others")
     assert_as_before(found, Path(__file__).with_name("tracks.txt"))
 
 

@@ -49,6 +49,7 @@ def test_moments_are_as_before(name, model):
         shares = quadratic_shares(quadratic_covariances(steps), every[0].covariance)[::10]
         found[std] = *last, every[0].mean[-1], shares, every[0].rms_distance()[::10]
         found[f"{std} exponential"] = exponential_moments(steps, [5, len(steps)])
+    found["ellipse"] = ellipse_points(last[0])
     text = Path(__file__).with_name("moments") / f"{model}_{name}.txt"
     assert_as_before(lines_of(found, ""), text)
 
@@ -158,10 +159,3 @@ def test_a_mean_of_blocks_is_the_mean_of_all():
 
 def test_bounds_are_quantiles_of_chi_square():
     assert_allclose(BOUNDS, stats.chi2.ppf([0.5, 0.95, 0.99], 3))
-
-
-def test_an_ellipse_holds_95_percent_of_a_gaussian():
-    covariance = np.array([[2.0, 0.7, 0.0], [0.7, 0.5, 0.0], [0.0, 0.0, 1.0]])
-    points = ellipse_points(covariance)
-    lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance[:2, :2]), points)
-    assert_allclose(lengths, stats.chi2.ppf(0.95, 2))

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from alike import assert_as_before, lines_of
+from noise_paths import drive
 from recorded_paths import make_rule
 from shared import cases
 
@@ -24,7 +25,7 @@ from bullet_lab.core.parameters import (
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.goodness import drawn_pairs
 from bullet_lab.noise.likelihood import StepPairs
-from bullet_lab.noise.noisy_odom import NONE, PRESETS, with_preset
+from bullet_lab.noise.noisy_odom import NONE, PRESETS, OdometryNoise, with_preset
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import (
     MODELS,
@@ -116,6 +117,20 @@ def test_a_preset_is_valid_and_complete(name):
     found = with_preset(SquaresSettings(noise=name))
     check_parameters(found)
     assert asdict(found).items() >= PRESETS[name].items()
+
+
+@pytest.mark.parametrize("as_published", [False, True])
+def test_noise_and_systematic_errors_are_added_as_before(as_published):
+    """To a robot that drives on arcs ahead and back, with a rest."""
+    settings = SquaresSettings(noise="create_vicon", seed=3, as_published=as_published)
+    noise = OdometryNoise(settings, 1.1)
+    path = drive((1.0, 2.0, 3.0), (9, (0.1, 0.0, 0.2)), (3, (0.0, 0.0, 0.0)), (9, (-0.1, 0.0, 0.1)))
+    found = []
+    for _ in range(2):
+        found += [noise.update(0.4 * number, pose) for number, pose in enumerate(path)]
+        noise.restart()
+    text = Path(__file__).with_name(f"added_{as_published}.txt")
+    assert_as_before(lines_of(tuple(found), ""), text)
 
 
 def test_without_a_preset_nothing_changes():
