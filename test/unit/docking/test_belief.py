@@ -121,7 +121,8 @@ def test_what_becomes_of_sightings_is_as_before():
             belief.concentrate(belief.estimate(), 0.3)
             belief.forget(belief.best())
             found[f"{name}, forgotten"] = lookout.known()
-    assert_as_before(lines_of(found, ""), Path(__file__).with_name("looks.txt"))
+    # The size of a print that a wall hides depends on how the processor adds.
+    assert_as_before(lines_of(found, ""), Path(__file__).with_name("looks.txt"), within=1e-5)
 
 
 def test_the_same_look_again_tells_no_more_where_it_may_be_too_dark():
