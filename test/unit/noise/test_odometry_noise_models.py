@@ -109,6 +109,7 @@ def test_parameters_and_their_limits_are_as_before():
     for kind in (*MODELS.values(), SystematicErrors, SystematicSpread):
         said = {name: (one.doc, one.allowed) for name, one in declarations(kind).items()}
         found[kind.__name__] = kind(), said
+    found["scaled"] = tuple(model.at_level(0.3).scaled(2.5) for model in MODELS.values())
     assert_as_before(lines_of({**found, **PRESETS}, ""), Path(__file__).with_name("models.txt"))
 
 
