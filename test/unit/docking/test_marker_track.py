@@ -88,6 +88,7 @@ a larger copy, after 0.8 m:
   drive: {start: [1.9, 0.0, 0.0], legs: [[0.04, 0.0, 20]]}
   print: {pose: [1.385, 0.0, 0.0], height: 0.545, size: 0.35}
   prior: [2.06, 0.0, 0.0]
+  adopts: 0.5
 standing still proves nothing:
   drive: {start: [1.5, 0.1, 0.0], legs: [[0.0, 0.0, 100]]}
 # By more than a camera that is turned explains.
