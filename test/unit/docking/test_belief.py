@@ -10,8 +10,8 @@ from alike import assert_as_before, lines_of
 from shared import cases
 
 from bullet_lab.core import se2
-from bullet_lab.docking.belief import DockBelief
-from bullet_lab.docking.geometry import MarkerVisibility, extent_of
+from bullet_lab.docking.belief import DockBelief, _association_cost
+from bullet_lab.docking.geometry import MarkerVisibility, Viewpoint, extent_of
 from bullet_lab.docking.types import Observation, Odometry, Sighting
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.15, dropout=0.0, tilt=0.0, walls=False)
@@ -44,16 +44,18 @@ class Lookout:
                 middle = corners.mean(axis=0)
                 corners[:] = middle + border * (corners - middle)
                 corners[[0, 3], 0] += hidden * extent_of(corners)
-            sightings = tuple(Sighting(0, standin.DICTIONARY, corners) for corners in seen)
-            self.belief.observe(Observation(self.stamp, standin.CAMERA, sightings))
+            self.seen = tuple(Sighting(0, standin.DICTIONARY, corners) for corners in seen)
+            self.belief.observe(Observation(self.stamp, standin.CAMERA, self.seen))
 
     def known(self):
         """Return all that is known."""
         belief, best = self.belief, self.belief.best()
         tracks = [(t.frames, t.last_seen, t.real, t.sized) for t in belief.tracks]
+        view = Viewpoint(standin.CAMERA, standin.MOUNT)
+        fits = [_association_cost(t, s, view) for t in belief.tracks for s in self.seen]
         said = [belief.copies_seen(), belief.pending(), belief.copy is None, belief.stands_free()]
         return {
-            "tracks": np.array(tracks),
+            "tracks": (np.array(tracks), fits),
             "said": [*said, best and belief.cut_off(best)],
             "estimate": belief.estimate(),
             "obstacles": belief.obstacles(),

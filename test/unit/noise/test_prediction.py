@@ -34,7 +34,7 @@ def halves_of(pairs):
     for own in (number < len(every) // 2, number >= len(every) // 2):
         halved = StepPairs(pairs.true[own], pairs.odometry[:, own])
         found = fit(Problem(halved, "random_walk", NAMES))
-        others = StepPairs(pairs.true[~own], pairs.odometry[:, ~own])
+        others = StepPairs(pairs.true[~own], pairs.odometry[:, ~own], 1e-3, 2e-3)
         for length in LENGTHS[:2]:
             yield predicted(found, others, every[~own], length)
 

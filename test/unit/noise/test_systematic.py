@@ -102,9 +102,3 @@ def test_without_spread_it_is_the_systematic_path_bit_for_bit():
     path = SpreadPath(ALL, SystematicSpread(), seed=3)
     assert end(path) == end(SystematicPath(ALL))
     assert not path.covariance.any()
-
-
-def test_the_seed_decides_the_errors():
-    first, same, other = (end(SpreadPath(ALL, SPREAD, seed)) for seed in (4, 4, 5))
-    assert first == same != other
-    assert first[0] == pytest.approx(2.2731480, abs=1e-6)
