@@ -152,8 +152,8 @@ def options(*words):
 
 def test_options_of_a_command_line():
     assert options() == Settings()
-    given = ("--every-light", "--levels", "0", "1e-1", "--lights=bright dark", "--std=2")
-    assert options(*given) == Settings(2.0, True, (0.0, 0.1), ("bright", "dark"))
+    given = ("--every-light", "--levels", "0", "1e1", "--lights=bright dark", "--std=2")
+    assert options(*given) == Settings(2.0, True, (0.0, 10.0), ("bright", "dark"))
     assert options("--std=", "--levels=", "--lights=", "--every-light=", "--path=") == Settings()
     for text, value in (("true", True), ("1", True), ("false", False), ("0", False)):
         assert options(f"--every-light={text}").every_light == value

@@ -59,8 +59,9 @@ def test_noise_that_is_larger_than_steps_show_disperses():
     more = judged(list(halves_of(StepPairs(pairs.true, drifting))))
     assert more.dispersion > 1.5 * calm.dispersion
     assert more.density < calm.density
-    found = {"windows": tuple(every[:2]), "calm": calm, "more": more, "few": judged(every[1:2])}
-    found["density"] = calm.density
+    # Whether the farthest of few ends is held is a matter of rounding.
+    few = [more.dispersion, more.density, judged(every[1:2]).dispersion]
+    found = {"windows": tuple(every[:2]), "calm": calm, "density": calm.density, "few": few}
     assert_as_before(lines_of(found, ""), Path(__file__).with_name("predicted.txt"))
 
 
