@@ -147,7 +147,7 @@ def test_right_models_fit_and_wrong_ones_are_told_as_before():
         "alone": goodness_of(with_jitter(), "rate_invariant", False),
         "few": goodness_of(drawn(RULES[2], 1, steps=drive()[8:16]), "probabilistic"),
         "many": judged(RULES[2], "probabilistic", steps=drive(8)),
-        "turns": goodness_of(drawn(RULES[1], 1, steps=drive()[12:22]), "rate_invariant"),
+        "turns": goodness_of(drawn(RULES[1], 1, steps=drive()[12:21]), "rate_invariant"),
     }
     said = {name: [one.words() for one in np.atleast_1d(every)] for name, every in found.items()}
     assert_as_before(lines_of({**found, "said": said}, ""), HERE / "goodness.txt")
