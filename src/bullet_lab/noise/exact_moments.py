@@ -340,8 +340,8 @@ def _harmonics(steps: NoisySteps, at: ndarray, c: ndarray):
     found = np.empty((3, *c.shape), dtype=complex)
     turned = np.concatenate([[0.0], steps.variance2[:-1]]) + steps.variance1
     columns = (turned, steps.trans * steps.direction, steps.variance_trans, steps.direction**2)
-    poses = np.arange(1, len(steps) + 1)
-    for pose, turn, step, s2, twice in zip(poses, *(column.tolist() for column in columns)):
+    rows = zip(*(column.tolist() for column in columns))
+    for pose, (turn, step, s2, twice) in enumerate(rows, start=1):
         if turn:
             decay = np.exp(turn * rates)
             phi *= decay

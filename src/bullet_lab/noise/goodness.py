@@ -407,13 +407,13 @@ def windows(true: ndarray, follows: ndarray, length: float):
     the one before it ended, (n,); the length is in m.
     """
     way = np.concatenate(([0.0], np.cumsum(np.hypot(true[:, 0], true[:, 1]))))
-    stretch = np.concatenate(([0], np.cumsum(~np.asarray(follows))))
+    stretch = np.cumsum(~np.asarray(follows))
     begins = np.searchsorted(way, np.arange(0.0, way[-1] - length, length / _OVERLAP))
     ends = np.searchsorted(way, way[begins] + length)
     whole = ends < len(way)
     begins, ends = begins[whole], ends[whole]
     # Step k ends at pose k + 1.
-    whole = stretch[ends] == stretch[begins + 1]
+    whole = stretch[ends - 1] == stretch[begins]
     return begins[whole], ends[whole]
 
 

@@ -129,8 +129,10 @@ def test_declarations_say_what_is_asked():
 def test_values_made_in_python_are_checked():
     check_parameters(Sample())
     check_parameters(Sample(ratio=1.0))
-    with pytest.raises(ParameterError, match="^ratio is 2.0: it must be a number >= 0 and <= 1$"):
-        check_parameters(Sample(ratio=2.0))
+    for ratio, more in ((2.0, ""), ("1", ", not a text")):
+        shown = f"^ratio is {ratio!r}: it must be a number >= 0 and <= 1{more}$"
+        with pytest.raises(ParameterError, match=shown):
+            check_parameters(Sample(ratio=ratio))
 
 
 @dataclass(frozen=True)
@@ -150,8 +152,8 @@ def options(*words):
 
 def test_options_of_a_command_line():
     assert options() == Settings()
-    given = ("--every-light", "--levels", "0", "1e-1", "--lights=bright dark", "--std=2")
-    assert options(*given) == Settings(2.0, True, (0.0, 0.1), ("bright", "dark"))
+    given = ("--every-light", "--levels", "0", "1e1", "--lights=bright dark", "--std=2")
+    assert options(*given) == Settings(2.0, True, (0.0, 10.0), ("bright", "dark"))
     assert options("--std=", "--levels=", "--lights=", "--every-light=", "--path=") == Settings()
     for text, value in (("true", True), ("1", True), ("false", False), ("0", False)):
         assert options(f"--every-light={text}").every_light == value

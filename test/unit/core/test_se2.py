@@ -67,24 +67,24 @@ def test_the_angles_of_the_axes_are_exact(y, x):
     assert se2.atan2(y, x) == pytest.approx(math.atan2(y, x), rel=0.0, abs=0.0, nan_ok=True)
 
 
-BELOW_PI = float(np.nextafter(math.pi, 0.0))
-CASES = [
-    (0.0, 0.0),
-    (math.pi, -math.pi),
-    (-math.pi, -math.pi),
-    (BELOW_PI, BELOW_PI),
-    (3 * math.pi / 2, -math.pi / 2),
-    (-3 * math.pi / 2, math.pi / 2),
-    (7.0, 7.0 - 2 * math.pi),
-    (-1e-300, -1e-300),
-]
+@cases("""
+angle, to:
+  - [0.0, 0.0]
+  - [3.141592653589793, -3.141592653589793]
+  - [-3.141592653589793, -3.141592653589793]
+  - [3.1415926535897927, 3.1415926535897927]
+  - [4.71238898038469, -1.5707963267948966]
+  - [-4.71238898038469, 1.5707963267948966]
+  - [7.0, 0.7168146928204138]
+  - [-1.0e-300, -1.0e-300]
+""")
+def test_wrap(angle, to):
+    assert [wrap(angle), *wrap(np.array([angle]))] == pytest.approx([to] * 2, abs=1e-15)
 
 
 def test_wrap_of_floats_and_of_an_array():
     angles = np.random.default_rng(1).uniform(-50.0, 50.0, (40, 25))
-    angles[0, : len(CASES)] = [angle for angle, _ in CASES]
     wrapped = wrap(angles)
-    assert wrapped[0, : len(CASES)] == pytest.approx([to for _, to in CASES], abs=1e-15)
     assert_array_equal(wrapped, [[wrap(a) for a in row] for row in angles.tolist()])
     assert isinstance(wrap(7.0), float)
     assert wrapped.min() >= -math.pi

@@ -94,8 +94,8 @@ def test_poses_with_the_same_stamp_are_left_out_and_counted(write):
 
 
 def test_velocities_are_held_until_the_next_stamp(write):
-    found = read_tum(write(f"0 1 {math.pi / 2}", "1 2 0", "3 0 0"))
-    quarter = 2.0 / math.pi
+    found = read_tum(write(f"0 1 {math.pi / 4}", "2 2 0", "4 0 0"))
+    quarter = 4.0 / math.pi
     expected = [[0, 0, 0], [quarter, quarter, math.pi / 2], [quarter, quarter + 4, math.pi / 2]]
     assert_allclose(found.poses, expected, atol=1e-12)
     with pytest.raises(TrajectoryError, match="line 1: 8 or 4 or 3 values needed, not 5"):

@@ -5,12 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from shared import cases
 
+from bullet_lab.core.parameters import declarations
 from bullet_lab.docking.database import (
     ERRORS,
+    Dock,
+    DockMarker,
     DockTolerance,
     DockUncertainty,
+    DockWalls,
     docking_errors,
     drawn_error,
     find_dock,
@@ -18,7 +23,7 @@ from bullet_lab.docking.database import (
     parse_docks,
     read_docks,
 )
-from bullet_lab.docking.types import DockingError
+from bullet_lab.docking.types import DockingError, DockingSettings
 from bullet_lab.errors import LabError
 
 SHIPPED = Path(__file__).parents[3] / "config" / "docks.yaml"
@@ -36,20 +41,18 @@ docks:
 """
 
 
-def test_reads_a_dock():
-    dock = parse_docks(GOOD)["home"]
-    assert dock.frame == "map"
-    assert dock.pose == pytest.approx((1.0, -2.0, math.pi / 2.0))
-    assert (dock.marker.id, dock.marker.size) == (3, 0.1)
-    assert dock.walls.depth == 2.0
-    assert dock.tolerance.yaw == pytest.approx(math.radians(0.5))
-    assert dock.uncertainty == DockUncertainty(0.0, math.pi)
+KINDS = DockMarker, DockWalls, DockTolerance, DockUncertainty, Dock, DockingSettings
 
 
-def test_the_shipped_database_is_good():
-    docks = read_docks(SHIPPED)
-    assert docks["nested_dock"].marker.size == 0.075
-    assert docks["panel"].walls is None
+def test_what_is_read_and_its_limits_are_as_before():
+    found = [*lines_of(parse_docks(GOOD), "good"), *lines_of(read_docks(SHIPPED), "shipped")]
+    for kind in KINDS:
+        said = {name: (one.doc, one.allowed) for name, one in declarations(kind).items()}
+        found += lines_of(said, kind.__name__)
+    # The errors of a pose, uniform within its uncertainty and the seed's own.
+    drawn = [drawn_error(DockUncertainty(0.3, 0.2), 0.5, seed) for seed in range(9)]
+    found += lines_of(np.array(drawn), "drawn")
+    assert_as_before(found, Path(__file__).with_name("docks.txt"))
 
 
 @cases(r"""
@@ -58,6 +61,7 @@ old, new, said:
   - ["id: 3", "id: 3.5", "docks: home: marker: id is 3.5"]
   - ["id: 3, ", "", "docks: home: marker: id is missing"]
   - ["pose: [1.0, -2.0, 90]", "pose: [1.0, -2.0]", "docks: home: pose is [1.0, -2.0]"]
+  - ["pose: [1.0, -2.0, 90]", "pose: [true, -2.0, 90]", "docks: home: pose is [True, -2.0, 90]"]
   - ["pose: [1.0, -2.0, 90]", "pose: [1.0, .inf, 90]", "docks: home: pose is [1.0, inf, 90]"]
   - ["frame: map", "frame: ''", "docks: home: frame is ''"]
   - ["height: 0.4", "height: 0.4, hieght: 1", "docks: home: marker: unknown key hieght"]
@@ -66,10 +70,10 @@ old, new, said:
   - ["docks:", "doks:", docks is missing]
   - ["marker: {", "marker: [", no YAML]
   # In place of all of it.
-  - [null, "docks: {}", ""]
-  - [null, "docks: [1]", ""]
-  - [null, "3", ""]
-  - [null, "docks:\n  1: {}", ""]
+  - [null, "docks: {}", docks is no mapping from names]
+  - [null, "docks: [1]", docks is no mapping from names]
+  - [null, "3", not a mapping]
+  - [null, "docks:\n  1: {}\n  a: {}", docks is no mapping from names]
 """)
 def test_says_what_is_wrong(old, new, said):
     with pytest.raises(LabError) as error:
@@ -84,20 +88,6 @@ def test_names_a_missing_file_and_the_known_docks(tmp_path):
         read_docks(tmp_path / "nothing.yaml")
     with pytest.raises(LabError, match="no dock 'harbour'; known are home"):
         find_dock(parse_docks(GOOD), "harbour")
-
-
-def test_the_error_of_a_pose_is_uniform_within_its_uncertainty_and_the_seeds_own():
-    uncertainty = DockUncertainty(0.3, math.radians(10.0))
-    drawn = np.array([drawn_error(uncertainty, 0.5, seed) for seed in range(400)])
-    most = np.array([0.15, 0.15, math.radians(5.0)])
-    assert (np.abs(drawn) <= most).all()
-    # 1 - 0.98 ** 400 is 1 - 3e-4.
-    assert (np.abs(drawn).max(axis=0) > 0.98 * most).all()
-    # Three standard errors of the mean of 400.
-    assert (np.abs(drawn.mean(axis=0)) < 3.0 * most / math.sqrt(3.0 * 400)).all()
-    assert drawn_error(uncertainty, 0.0, 1) == (0.0, 0.0, 0.0)
-    noise = np.random.default_rng(1).uniform(-1.0, 1.0, 3)
-    assert not np.isclose(drawn[1] / most, noise, atol=0.01).any()
 
 
 @cases("""

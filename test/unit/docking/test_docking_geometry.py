@@ -2,26 +2,30 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import docking_standin as standin
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from shared import cases
 
 from bullet_lab.core import se2
-from bullet_lab.core.pose import Pose
-from bullet_lab.docking.geometry import MarkerVisibility, clearance, misfit, wall_boxes
+from bullet_lab.docking.geometry import (
+    MarkerVisibility,
+    Viewpoint,
+    clearance,
+    corner_points,
+    extent_of_walls,
+    misfit,
+    wall_boxes,
+    whole_in_image,
+)
 
 STAND = standin.Stand((0.0, 0.0, 0.0), pixel_noise=0.0, dropout=0.0, tilt=0.0)
 DOCK = standin.make_dock(STAND)
 BOXES = wall_boxes(DOCK)
 VISIBILITY = MarkerVisibility(DOCK, standin.CAMERA, standin.MOUNT.z).up_to(4.5, 0.0)
-
-
-@cases("x, y, away: [[-1.0, 0.2, 0.3], [-0.1, 0.0, 0.1], [-3.0, 0.6, 1.0], [-1.0, 0.6, 0.0]]")
-def test_distance_from_the_walls(x, y, away):
-    assert clearance(np.array([x, y]), BOXES) == pytest.approx(away)
-    assert clearance(np.zeros(2), np.empty((0, 4))) == math.inf
 
 
 def test_sight_is_never_promised_where_there_is_none():
@@ -33,32 +37,29 @@ def test_sight_is_never_promised_where_there_is_none():
         assert standin.see_print(robot, standin.Print(), STAND, rng) is not None
 
 
-@cases("""
-distance, degrees, seen:
-  # The walls hide the marker beyond 14 degrees. Too near, it leaves the image.
-  - [4.0, 8.0, true]
-  - [4.0, 15.0, false]
-  - [0.42, 0.0, true]
-  - [0.25, 0.0, false]
-""")
-def test_the_marker_is_seen_between_the_walls(distance, degrees, seen):
-    angle = math.radians(degrees)
-    x, y = -distance * math.cos(angle), distance * math.sin(angle)
-    assert bool(VISIBILITY.unobstructed(x, y)) is seen
+PLACES = np.random.default_rng(5).uniform((-5.0, -1.5, -0.8), (0.5, 1.5, 0.8), (300, 3))
+DISTANCES = np.linspace(0.2, 1.2, 101)
 
 
-@cases("cx, cy: [[219.5, 139.5], [419.5, 339.5]]")
-def test_the_nearer_edges_of_the_image_count(cx, cy):
-    visibility = MarkerVisibility(DOCK, replace(standin.CAMERA, cx=cx, cy=cy), standin.MOUNT.z)
-    # 40 px from the edges beside, 10 px from those above and below.
-    assert visibility.half_angle(1e9) == pytest.approx(math.atan(179.5 / standin.CAMERA.fx))
-    seen = visibility.unobstructed((-0.72, -0.71), 0.0)
-    assert seen.tolist() == [True, False]
-
-
-def test_a_camera_is_turned_about_fixed_axes():
-    turned = Pose.from_rpy((0, 0, 0), (0.3, -0.4, 0.5)).rotation_matrix()
-    assert replace(standin.MOUNT, roll=0.3, pitch=-0.4, yaw=0.5).rotation == pytest.approx(turned)
+def test_walls_and_sight_are_as_before():
+    mount = replace(standin.MOUNT, y=0.05, roll=0.1, pitch=-0.2, yaw=0.3)
+    view = Viewpoint(standin.CAMERA, mount, (0.3, -0.2, 0.4))
+    corners = corner_points(np.array([2.0, 0.3, 0.2, 0.6, 0.1]), 0.3)
+    pixels = view.pixels(view.optical(corners))
+    found = {"seen": (pixels, view.origin, view.line_of_sight(pixels, 0.3))}
+    aside, above = replace(standin.CAMERA, cx=219.5), replace(standin.CAMERA, cy=339.5)
+    for walls, camera in ((True, standin.CAMERA), (False, aside), (False, above)):
+        dock = standin.make_dock(replace(STAND, walls=walls))
+        sight = MarkerVisibility(dock, camera, 0.3)
+        boxes, farther = wall_boxes(dock), sight.up_to(6.0, 0.4)
+        found[f"{walls} {camera.cx}"] = {
+            "boxes": (boxes, [extent_of_walls(boxes), sight.farthest]),
+            "clear": clearance(PLACES[:, :2], boxes),
+            "sight": (sight.visible(PLACES), sight.found(PLACES, 0.5), farther.visible(PLACES)),
+            "angle": (sight.half_angle(-PLACES[:, 0]), farther.half_angle(-PLACES[:, 0])),
+            "whole": whole_in_image(dock, camera, replace(mount, yaw=0.0), DISTANCES),
+        }
+    assert_as_before(lines_of(found, ""), Path(__file__).with_name("sight.txt"))
 
 
 @cases("""

@@ -10,8 +10,8 @@ from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.docking.database import DockUncertainty
-from bullet_lab.docking.task import DockingTask, UndockingTask
-from bullet_lab.docking.types import DockingError, DockingSettings, DockingState
+from bullet_lab.docking.task import DockingTask, StuckWatch, UndockingTask
+from bullet_lab.docking.types import DockingError, DockingSettings, DockingState, MotionStep
 
 PLAIN = standin.Stand((1.0, 0.3, 0.4), (0.1, -0.15, 0.1))
 DECOY = standin.Print((-0.7, 1.65, 0.0), 0.5, 0.35)
@@ -132,6 +132,39 @@ def test_what_stops_is_noticed(what, found, error, seconds):
     assert feed.now - before == pytest.approx(seconds)
     # Unseen, it does not go on for long.
     assert math.dist(start[:2], feed.pose[:2]) < 0.5
+
+
+@cases("""
+step, seconds, said:
+  - [[0.231, -0.174, 0.359], 0.05, ""]
+  - [[0.233, -0.174, 0.0], 0.05, odometry jumped by 0.29 m]
+  - [[0.0, 0.0, -0.361], 0.05, odometry jumped by 21 degrees]
+  - [[9.0, 0.0, 9.0], 0.0, ""]
+  - [[0.0, 0.0, 0.0], -0.49, ""]
+  - [[0.0, 0.0, 0.0], -0.51, odometry went back in time]
+""")
+def test_as_much_as_the_robot_may_have_moved_is_no_trouble(step, seconds, said):
+    step = MotionStep(step, np.diag([1e-4, 4e-4, 9e-4]))
+    assert fed().task._find_trouble(step, seconds) == said
+
+
+@cases("""
+command, step, count, stuck:
+  - [[0.039, 0.12], [0.0, 0.0, 0.0], 16, false]
+  - [[0.041, 0.0], [0.0, 9.0, 9.0], 16, true]
+  - [[0.041, 0.0], [0.0, 9.0, 9.0], 15, false]
+  - [[-0.1, 0.0], [-0.0037, 0.0, 9.0], 16, true]
+  - [[-0.1, 0.0], [-0.0038, 0.0, 0.0], 16, false]
+  - [[0.0, -0.13], [9.0, 0.0, -0.0048], 16, true]
+  - [[0.0, 0.13], [0.0, 0.0, 0.0049], 16, false]
+""")
+def test_who_did_not_do_three_tenths_of_what_was_commanded_is_stuck(command, step, count, stuck):
+    """In the last 2 s: sixteen steps, so that the first one does not count."""
+    watch = StuckWatch()
+    assert not watch.is_stuck()
+    for moved in ((9.0, 0.0, 9.0), *[step] * count):
+        watch.add(command, moved, 0.125)
+    assert watch.is_stuck() == stuck
 
 
 @cases("jump: [[0.4, 0.0, 0.0], [0.0, 0.0, 0.8], [.nan, 0.0, 0.0]]")

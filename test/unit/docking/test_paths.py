@@ -42,9 +42,11 @@ def test_costs_are_those_of_the_cheapest_ways(robot):
     np.testing.assert_array_equal(made.costs, costs)
 
 
-@cases("robot: [[0.0, 0.0], [9.0, 3.0]]")
-def test_the_map_reaches_2_m_beyond_robot_and_docks(robot):
+# The last one has as many cells as there may be.
+@cases("robot, cell: [[[0.0, 0.0], 0.1], [[9.0, 3.0], 0.1], [[29.8, 19.8], 0.13416407864998736]]")
+def test_the_map_reaches_2_m_beyond_robot_and_docks(robot, cell):
     made = costmap(robot)
+    np.testing.assert_allclose(made.cell, cell)
     around = np.array([robot, (3.8, -0.2), (4.2, 0.2)])
     np.testing.assert_allclose(made.points[0, 0], around.min(axis=0) - 2.0)
     beyond = made.points[-1, -1] - (around.max(axis=0) + 2.0)

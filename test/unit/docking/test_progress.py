@@ -1,30 +1,32 @@
 """Tests of where a docking lets a robot go and look."""
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import docking_standin as standin
 import numpy as np
 import pytest
-from shared import cases
+from alike import assert_as_before, lines_of
 
 from bullet_lab.docking.belief import DockBelief
 from bullet_lab.docking.database import DockMarker
 from bullet_lab.docking.filter import GaussianPose
 from bullet_lab.docking.geometry import clearance, wall_boxes
-from bullet_lab.docking.paths import WALL_MARGIN
 from bullet_lab.docking.progress import DockingProgress
 from bullet_lab.docking.types import TURNING_RADIUS, Observation, Odometry, Sighting
 
-# Too high for the marker: a copy, small and right before the camera or large and far away.
-COPY = (320.0, 180.0) + 60.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+# Too high for the marker: a copy, small and right before the camera or large and far away. As it
+# does not hang where the robot stands, the smallest do not count.
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+COPY, MARKER = (320.0, 180.0) + 60.0 * SQUARE, (319.5, 233.3) + 10.4 * SQUARE
 KNOWN = GaussianPose(np.array([5.0, 0.0, 0.0]), 1e-6 * np.eye(3))
 
 
-def docking_at_the_origin(marker_size, corners=None):
+def docking_at_the_origin(marker_size, corners=None, walls=True):
     """A docking that has taken a few images, of a print or of nothing."""
     marker = DockMarker(standin.DICTIONARY, 0, marker_size, 0.5)
-    stand = standin.Stand((0.0, 0.0, 0.0), dock=(5.0, 0.0, 0.0), marker=marker)
+    stand = standin.Stand((0.0, 0.0, 0.0), dock=(5.0, 0.0, 0.0), marker=marker, walls=walls)
     dock, rng = standin.make_dock(stand), np.random.default_rng(1)
     belief = DockBelief(dock, dock.pose, standin.MOUNT, stand.settings, rng)
     seen = () if corners is None else (Sighting(0, standin.DICTIONARY, corners),)
@@ -32,34 +34,6 @@ def docking_at_the_origin(marker_size, corners=None):
         belief.add_odometry(Odometry(stamp, (0.0, 0.0, 0.0)))
         belief.observe(Observation(stamp, standin.CAMERA, seen))
     return DockingProgress(belief)
-
-
-@cases("size, before: [[0.2, 3.0], [0.075, 2.45]]")
-def test_stages_where_the_marker_is_found_but_clear_of_the_walls(size, before):
-    way = docking_at_the_origin(size).paths.way_to_staging(KNOWN)
-    assert way[-1] == pytest.approx((5.0 - before, 0.0), abs=0.02)
-
-
-def test_looks_at_a_marker_from_either_side_of_its_axis_in_turn():
-    docking = docking_at_the_origin(0.075)
-    # In sight between the walls' front edges, with an eighth of the free angle to spare.
-    walls, half = docking.belief.dock.walls, 0.075 * 0.625
-    angle = 0.85 * math.atan2(0.5 * walls.opening - half, walls.depth)
-    for side in (-1.0, 1.0):
-        end = docking.paths.way_aside(KNOWN, side > 0.0)[-1]
-        there = 5.0 * (1.0 - math.cos(angle)), 5.0 * side * math.sin(angle)
-        assert end == pytest.approx(there, abs=0.02)
-
-
-def test_a_print_of_unknown_size_does_not_hang_where_the_robot_stands():
-    docking = docking_at_the_origin(0.075, COPY)
-    rows = docking.belief.obstacles()
-    away = np.hypot(rows[:, 0], rows[:, 1]) - rows[:, 2]
-    turning = TURNING_RADIUS + WALL_MARGIN
-    assert np.min(away) < turning
-    # Of thirteen sizes the four that would be in the robot's way at once do not count.
-    assert docking.paths.costmap().risk(np.array([[0.15, 0.0]])) < 3.0 / 13.0
-    assert [docking.paths.choose_probe() for _ in range(7)] == [-0.6] * 6 + [0.0]
 
 
 def test_a_marker_that_was_found_from_afar_is_missed_from_as_far(monkeypatch):
@@ -83,16 +57,34 @@ def test_no_way_creeps_towards_a_wall_however_short_it_is(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("corners", "far"),
+    "name, size, corners, walls",
     [
-        (None, [3.002913, 2.702996, 3.302452, 2.702693]),
-        (COPY, [3.380262, 2.796225, 2.796225, 2.810238]),
+        ("nothing is seen", 0.075, None, True),
+        # Looks for a larger print from nearer each time once one was seen.
+        ("a copy is seen", 0.075, COPY, True),
+        ("no walls", 0.2, COPY, False),
+        ("the marker is seen", 0.2, MARKER, True),
     ],
 )
-def test_looks_for_a_larger_print_from_nearer_each_time_once_one_was_seen(corners, far):
-    search = docking_at_the_origin(0.075, corners).search
-    found = [math.dist(search.next_view().way[-1], (5.0, 0.0)) for _ in far]
-    assert found == pytest.approx(far, abs=1e-6)
+def test_ways_and_views_are_as_before(name, size, corners, walls):
+    docking = docking_at_the_origin(size, corners, walls)
+    belief, paths, search = docking.belief, docking.paths, docking.search
+    aside = [paths.way_aside(KNOWN, to_the_left) for to_the_left in (True, False)]
+    ways, costmap = [paths.way_to_staging(KNOWN), *aside], paths.costmap()
+    found = {
+        "ways": tuple(map(np.array, ways)),
+        "costs": (costmap.touch.sum(axis=0), costmap.costs[::7, ::9]),
+        "sight": [search.expects_marker(), search.use_cue(), search.chance_to_see()],
+        "belief": (belief.samples(20), belief.obstacles()),
+    }
+    found["probes"] = [paths.choose_probe() for _ in range(7)]
+    for number in range(3):
+        view = search.next_view()
+        found[number] = view and (np.array(view.way), [view.heading])
+        search.add_failed_look()
+        found[f"left {number}"] = belief.particles.mass, search.chance_to_see()
+    text = Path(__file__).with_name(f"{name.replace(' ', '_')}.txt")
+    assert_as_before(lines_of(found, ""), text)
 
 
 def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):
@@ -111,11 +103,16 @@ def test_looks_from_where_it_will_drive_to_and_nowhere_else(monkeypatch):
     assert len(set(ends[:40])) == 40
 
 
-@cases("share, retries, unsure: [[0.41, 1, 1], [0.41, 2, 0], [0.39, 0, 0]]")
-def test_a_yaw_that_is_unsure_is_measured_again_twice_at_most(monkeypatch, share, retries, unsure):
-    docking = docking_at_the_origin(0.2)
-    yaw = SimpleNamespace(deviation=share * docking.belief.dock.tolerance.yaw)
-    best = SimpleNamespace(learned=lambda: SimpleNamespace(yaw=yaw))
-    monkeypatch.setattr(docking.belief, "best", lambda: best)
-    docking.retries = retries
-    assert docking.is_yaw_unsure() == unsure
+@pytest.mark.parametrize("walls", [True, False])
+def test_the_axis_is_as_before(walls):
+    axis = docking_at_the_origin(0.2, walls=walls).axis
+    robots = np.random.default_rng(3).normal((-1.2, 0.0, 0.0), (0.8, 0.12, 0.2), (300, 3))
+    robots[::2, 1:] *= 0.1
+    found = []
+    for robot in robots.tolist():
+        deviation = 0.1 * abs(robot[2])
+        flags = axis.leads_at_an_edge(robot, deviation), axis.is_in_lane(robot, deviation)
+        commands = *axis.forwards(robot), *axis.backwards(robot, -robot[0])
+        found += lines_of([*commands, axis.left(robot), *flags], axis.check_gate(robot))
+        found[-1] += " within" * axis.is_within_walls(robot)
+    assert_as_before(found, Path(__file__).with_name(f"axis_{walls}.txt"))

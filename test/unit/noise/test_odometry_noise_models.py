@@ -5,9 +5,12 @@ The parameter std is checked where it comes in, and nowhere else on its way to a
 
 import sys
 from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
+from noise_paths import drive
 from recorded_paths import make_rule
 from shared import cases
 
@@ -22,7 +25,7 @@ from bullet_lab.core.parameters import (
 from bullet_lab.noise.calibration import Problem, fit, intervals
 from bullet_lab.noise.goodness import drawn_pairs
 from bullet_lab.noise.likelihood import StepPairs
-from bullet_lab.noise.noisy_odom import NONE, PRESETS, with_preset
+from bullet_lab.noise.noisy_odom import NONE, PRESETS, OdometryNoise, with_preset
 from bullet_lab.noise.noisy_paths import study_generator
 from bullet_lab.noise.odometry_noise import (
     MODELS,
@@ -32,6 +35,7 @@ from bullet_lab.noise.odometry_noise import (
     register,
     rule_of,
 )
+from bullet_lab.noise.systematic import SystematicErrors, SystematicSpread
 from bullet_lab.studies.squares import SquaresSettings
 
 
@@ -100,11 +104,34 @@ def test_a_parameter_of_several_models_is_declared_once(slip):
     assert set(declarations(ReportRule)) == {"std"}
 
 
+def test_parameters_and_their_limits_are_as_before():
+    found = {}
+    for kind in (*MODELS.values(), SystematicErrors, SystematicSpread):
+        said = {name: (one.doc, one.allowed) for name, one in declarations(kind).items()}
+        found[kind.__name__] = kind(), said
+    found["scaled"] = tuple(model.at_level(0.3).scaled(2.5) for model in MODELS.values())
+    assert_as_before(lines_of({**found, **PRESETS}, ""), Path(__file__).with_name("models.txt"))
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_is_valid_and_complete(name):
     found = with_preset(SquaresSettings(noise=name))
     check_parameters(found)
     assert asdict(found).items() >= PRESETS[name].items()
+
+
+@pytest.mark.parametrize("as_published", [False, True])
+def test_noise_and_systematic_errors_are_added_as_before(as_published):
+    """To a robot that drives on arcs ahead and back, with a rest."""
+    settings = SquaresSettings(noise="create_vicon", seed=3, as_published=as_published)
+    noise = OdometryNoise(settings, 1.1)
+    path = drive((1.0, 2.0, 3.0), (9, (0.1, 0.0, 0.2)), (3, (0.0, 0.0, 0.0)), (9, (-0.1, 0.0, 0.1)))
+    found = []
+    for _ in range(2):
+        found += [noise.update(0.4 * number, pose) for number, pose in enumerate(path)]
+        noise.restart()
+    text = Path(__file__).with_name(f"added_{as_published}.txt")
+    assert_as_before(lines_of(tuple(found), ""), text)
 
 
 def test_without_a_preset_nothing_changes():
