@@ -61,19 +61,13 @@ class Pose:
         """Make a pose from a position and a 3x3 rotation matrix; stable for all rotations."""
         m = np.asarray(rotation, dtype=float)
         # Bar-Itzhack's method: the quaternion is the dominant eigenvector of a symmetric matrix.
-        # Of which only the lower triangle is read.
-        k = np.zeros((4, 4))
-        k[np.tril_indices(4)] = (
-            m[0, 0] - m[1, 1] - m[2, 2],
-            m[0, 1] + m[1, 0],
-            m[1, 1] - m[0, 0] - m[2, 2],
-            m[0, 2] + m[2, 0],
-            m[1, 2] + m[2, 1],
-            m[2, 2] - m[0, 0] - m[1, 1],
-            m[2, 1] - m[1, 2],
-            m[0, 2] - m[2, 0],
-            m[1, 0] - m[0, 1],
-            np.trace(m),
+        k = np.array(
+            [
+                [m[0, 0] - m[1, 1] - m[2, 2], 0.0, 0.0, 0.0],
+                [m[0, 1] + m[1, 0], m[1, 1] - m[0, 0] - m[2, 2], 0.0, 0.0],
+                [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], m[2, 2] - m[0, 0] - m[1, 1], 0.0],
+                [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], np.trace(m)],
+            ]
         )
         values, vectors = np.linalg.eigh(k)
         x, y, z, w = vectors[:, int(np.argmax(values))]
