@@ -1,9 +1,8 @@
 import math
-from pathlib import Path
 
 import pytest
 import yaml
-from control_robots import listen, run, spawn
+from control_robots import CASES, listen, run, spawn
 from shared import cases
 
 from bullet_lab.core.pose import Pose
@@ -11,7 +10,6 @@ from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.controllers.diff_drive import SpeedLimiter
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 
-CASES = yaml.safe_load((Path(__file__).parent / "controllers.yaml").read_text())
 WHEELS = CASES["drive"]["parameters"]
 GENTLE = yaml.safe_load("""
 linear: {x: {has_acceleration_limits: true, max_acceleration: 0.5}}
