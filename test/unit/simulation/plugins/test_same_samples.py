@@ -69,7 +69,7 @@ def test_drives_are_as_before(caplog):
                 robot.command("cmd_vel", PlanarCommand(*velocity))
                 simulation.run_for(seconds)
                 told += lines_of([*robot.pose().position, robot.pose().yaw], f"{name} is at")
-                told += lines_of(robot.plugins[0].origin, f"{name} from")
+                told += lines_of(getattr(robot.plugins[0], "origin", None), f"{name} from")
                 for body in robot.bodies.values():
                     for joint in body.joint_names:
                         state = body.joint_state(joint)
