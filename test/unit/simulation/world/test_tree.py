@@ -74,11 +74,12 @@ def test_unequal_parts_of_a_turned_box():
     assert whole.matrix == pytest.approx(turn @ box(3.0, 0.6, 0.2, 0.1).matrix @ turn.T)
 
 
-def test_principal_axes_of_a_turned_box():
-    turned = Pose.from_rpy((0, 0, 0), (0.2, 0.7, -1.0))
-    turn = turned.rotation_matrix()
-    straight = box(3.0, 0.6, 0.2, 0.1).matrix
-    moments, frame = principal_axes(Inertia(3.0, (1.0, 2.0, 3.0), turn @ straight @ turn.T))
+@cases("angles: [[0.2, 0.7, -1.0], [1.3, -0.4, 0.5], [-2.0, 0.1, 0.9], [0.4, 1.2, 2.5]]")
+@cases("mass: [3.0e-7, 3.0e+7]")
+def test_principal_axes_of_a_turned_box(angles, mass):
+    turn = Pose.from_rpy((0, 0, 0), angles).rotation_matrix()
+    straight = box(mass, 0.6, 0.2, 0.1).matrix
+    moments, frame = principal_axes(Inertia(mass, (1.0, 2.0, 3.0), turn @ straight @ turn.T))
     assert sorted(moments) == pytest.approx(sorted(np.diag(straight)))
     assert frame.position == (1.0, 2.0, 3.0)
     axes = frame.rotation_matrix()
