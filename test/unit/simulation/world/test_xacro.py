@@ -2,6 +2,7 @@ import os
 import resource
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from sensor_worlds import INERTIAL
@@ -32,7 +33,8 @@ def without_coverage(monkeypatch):
 def limits(monkeypatch, capsys):
     """Expand in this process; return the limits that would be set for the other one."""
 
-    def run(command, **_):
+    def run(command, env, **options):
+        found.update(options)
         monkeypatch.setattr(sys, "argv", command[2:])
         monkeypatch.setattr(sys, "path", ["", *sys.path])
         code, said = xacro_child.main(), capsys.readouterr()
@@ -77,6 +79,10 @@ def test_macros_arguments_and_conditions(write, limits):
         resource.RLIMIT_AS: memory,
         resource.RLIMIT_FSIZE: nothing,
         resource.RLIMIT_CORE: nothing,
+        "stdin": subprocess.DEVNULL,
+        "capture_output": True,
+        "timeout": 60,
+        "check": False,
     }
 
 
@@ -126,6 +132,31 @@ def test_the_command_names_tags_of_before_noetic(write, monkeypatch, capsys):
     said = capsys.readouterr().err.splitlines()
     assert said[0] == f"xacro: error in {path}: since ROS Noetic, <macro> is <xacro:macro>"
     assert "name 'a' is not defined" in said[1]
+
+
+@cases(r"""
+code, out, error, said:
+  - [0, <robot/>, a warning, <robot/>]
+  - [0, <robot />, '', 'x: xacro makes more than 8 bytes of it']
+  - [2, '', "one\n two, much longer", 'x: two, much']
+  - [1, '', '', 'x: xacro failed without a message']
+  - [-9, '', killed, 'x: xacro took more than 30 s']
+  - [null, '', '', 'x: xacro took longer than 60 s']
+""")
+def test_what_the_process_leaves(monkeypatch, code, out, error, said):
+    def run(command, **_):
+        if code is None:
+            raise subprocess.TimeoutExpired(command, 60.0)
+        return subprocess.CompletedProcess(command, code, out.encode(), error.encode())
+
+    monkeypatch.setattr(xacro_files.subprocess, "run", run)
+    monkeypatch.setattr(xacro_files, "MAXIMUM_BYTES", 8)
+    monkeypatch.setattr(xacro_files, "LONGEST_MESSAGE", 11)
+    try:
+        told = expand_xacro(Path("x"))
+    except XacroError as refusal:
+        told = str(refusal)
+    assert told == said
 
 
 def test_without_the_package_it_says_so(write, monkeypatch, tmp_path):
