@@ -160,7 +160,7 @@ def _statements(text: str) -> dict[str, dict[str, str]]:
         word, _, rest = line.strip().partition(" ")
         if word == "newmtl":
             statements = found.setdefault(rest.strip(), {})
-        elif word and not word.startswith("#"):
+        else:
             statements[word] = rest.strip()
     return found
 

@@ -80,15 +80,15 @@ def readable(path: Path) -> Iterator[None]:
         raise MeshError(f"{path}: not a readable mesh: {error}") from error
 
 
-def file_version(file: Any) -> tuple[int, int]:
+def file_version(file: Any) -> tuple[int, int] | None:
     """Return the time (ns) and the size (bytes) of a file, which differ when it has changed.
 
-    `file` has a `path`: a mesh or a texture.
+    `file` has a `path`: a mesh or a texture. None for one that is missing.
     """
     try:
         found = file.path.stat()
     except OSError:
-        return (0, 0)
+        return None
     return (found.st_mtime_ns, found.st_size)
 
 
