@@ -215,7 +215,7 @@ def test_a_material_as_in_sdf_for_a_link_of_a_urdf(shop):
 # The language of the scripts, with what real ones have in them
 
 HERE = Path(__file__).parent
-CHILDREN = "ByName", "ByPlace", "ByPattern", "New", "Deep"
+CHILDREN = "ByName", "ByPlace", "ByPattern", "New", "Deep", "ThreePlaces"
 
 
 def blocks(text):
@@ -246,7 +246,9 @@ text, mistake, kept:
   - ["material A { }\nmaterial B {\n technique {", "'technique ' is not closed", [A]]
   - ["\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", [A]]
   - ["material A { }\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
-     a { a { a {", more than 20 blocks, [A]]
+     } } } } } } } } } } } } } } } } } } }", '', [A, '']]
+  - ["material A { }\n\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
+     } } } } } } } } } } } } } } } } } } } }", 'line 3: more than 20 blocks', [A]]
   - ["material A { technique { name \"open\n } }", '', [A]]
   - ['material A { /* open', "'material A' is not closed", []]
   - ['', '', []]

@@ -159,9 +159,8 @@ def test_what_the_process_leaves(monkeypatch, code, out, error, said):
     assert told == said
 
 
-def test_without_the_package_it_says_so(write, monkeypatch, tmp_path):
-    (tmp_path / "xacro.py").write_text("raise ImportError")
-    monkeypatch.syspath_prepend(str(tmp_path))
+def test_without_the_package_it_says_so(write, limits, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xacro", None)
     with pytest.raises(XacroError, match="xacro is not installed"):
         expand_xacro(write(""))
 
