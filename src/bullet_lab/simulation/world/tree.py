@@ -374,7 +374,8 @@ def _without_massless(links: Links, joints: Joints, where: str) -> tuple[Links, 
             others = f", and with it {', '.join(below[1:])}" if below[1:] else ""
             what = "moves and has no mass; it is left out"
             LOG.warning("%s: link '%s' %s%s", where, link.name, what, others)
-    kept = [j for j in joints if j.child not in dropped and j.parent not in dropped]
+    # Below a link that is dropped, all are.
+    kept = [joint for joint in joints if joint.child not in dropped]
     return tuple(link for link in links if link.name not in dropped), tuple(kept)
 
 

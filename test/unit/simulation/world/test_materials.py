@@ -247,8 +247,8 @@ text, mistake, kept:
   - ["\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", [A]]
   - ["material A { }\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
      } } } } } } } } } } } } } } } } } } }", '', [A, '']]
-  - ["material A { }\n\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
-     } } } } } } } } } } } } } } } } } } } }", 'line 3: more than 20 blocks', [A]]
+  - ["material A { }\n\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
+     a { } } } } } } } } } } } } } } } } } } } }", 'line 3: more than 20 blocks', [A]]
   - ["material A { technique { name \"open\n } }", '', [A]]
   - ['material A { /* open', "'material A' is not closed", []]
   - ['', '', []]
