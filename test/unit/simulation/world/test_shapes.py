@@ -49,7 +49,7 @@ def load(tmp_path):
 
 
 def binary_stl(corners, count=1):
-    numbers = np.array([(0, 0, 1), *corners], "<f4").tobytes() + b"\0\0"
+    numbers = np.array([(0.1, 0, 1), *corners], "<f4").tobytes() + b"\0\0"
     return 80 * b" " + struct.pack("<I", count) + numbers
 
 
