@@ -242,7 +242,6 @@ def _collada_parts(path: Path, submesh: str) -> Iterator[MeshPart]:
             if part.texcoordset:
                 # As in Gazebo, the first of several.
                 picture = np.asarray(part.texcoordset[0], float)[part.texcoord_indexset[0]]
-                picture = picture[..., :2]
             vertices, faces = metres * np.asarray(part.vertex, float), part.vertex_index
             effect = getattr(part.material, "effect", None)
             yield MeshPart(vertices, np.asarray(faces, int), normals, picture, effect)
