@@ -243,6 +243,8 @@ def test_a_hull_of_too_many_corners_is_the_same_to_a_thousandth(tmp_path, monkey
         direction /= np.linalg.norm(direction)
         reach = (points @ direction).max()
         assert 0.0 <= reach - (corners @ direction).max() <= 1e-3 * reach
+    flat = stored(points * (1.0, 1.0, 0.0), tmp_path)
+    assert len(shapes.hull_corners(flat)) > 100
 
 
 def test_triangles_in_pieces(tmp_path, monkeypatch):
