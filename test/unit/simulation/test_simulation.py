@@ -20,7 +20,6 @@ from bullet_lab.simulation.world.description import (
     Box,
     Collision,
     Inertia,
-    Joint,
     Link,
     Mesh,
     Model,
@@ -134,16 +133,12 @@ def test_impossible_poses_leave_the_simulation_unharmed(
 def test_what_is_not_usable_of_a_model_is_left_out(world, tmp_path):
     (tmp_path / "bad.stl").write_text("nonsense")
     bad = Mesh(tmp_path / "bad.stl", "bad.stl")
-    good, below = thing().links[0], Link("below", inertia=UNIT)
+    good = thing().links[0]
     for shapes in ({"visuals": (Visual(bad),)}, {"collisions": (Collision(bad),)}):
         with complains("^model 'm': link 'other': .*bad.stl: .*; it is left out$"):
             made = world.add(Model("m", (good, Link("other", inertia=UNIT, **shapes)))).model
         assert (made.links[1].visuals, made.links[1].collisions) == ((), ())
         world.remove("m")
-    joint = Joint("j", "revolute", "other", "below")
-    with complains("link 'other' moves and has no mass; it is left out, and with it below$"):
-        made = world.add(Model("m", (good, Link("other"), below), (joint,))).model
-    assert (made.links, made.joints) == ((good,), ())
 
 
 def test_timers(world):

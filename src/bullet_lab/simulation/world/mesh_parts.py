@@ -61,7 +61,7 @@ def mesh_parts(mesh: Mesh, report: Report = LOG.warning) -> list[MeshPart]:
 
 def _outward(part: MeshPart, scale: np.ndarray) -> MeshPart:
     """Return a part that was scaled with all its normals, and its triangles turned outwards."""
-    part = _turned_over(part) if np.prod(scale) < 0.0 else part
+    part = _turned_over(part) if np.signbit(np.prod(scale)) else part
     flat = flat_normals(part.corners)
     if part.normals is None:
         return part._replace(normals=flat)
@@ -160,7 +160,7 @@ def _statements(text: str) -> dict[str, dict[str, str]]:
         word, _, rest = line.strip().partition(" ")
         if word == "newmtl":
             statements = found.setdefault(rest.strip(), {})
-        elif word and not word.startswith("#"):
+        else:
             statements[word] = rest.strip()
     return found
 
@@ -173,7 +173,8 @@ def _wavefront_look(statements: dict[str, str], path: Path, report: Report) -> A
         found = finite(statements.get(key, "").split())
         return found if len(found) == count else ()
 
-    (opacity,) = numbers("d", 1) or [1.0 - share for share in numbers("Tr", 1)] or [1.0]
+    shares = (1.0 - share for share in numbers("Tr", 1))
+    opacity, *_ = (*numbers("d", 1), *shares, WHITE[3])
     name, texture = statements.get("map_Kd", ""), None
     if name:
         # Options such as "-s 1 1 1" may stand before the name.

@@ -80,15 +80,15 @@ def readable(path: Path) -> Iterator[None]:
         raise MeshError(f"{path}: not a readable mesh: {error}") from error
 
 
-def file_version(file: Any) -> tuple[int, int]:
+def file_version(file: Any) -> tuple[int, int] | None:
     """Return the time (ns) and the size (bytes) of a file, which differ when it has changed.
 
-    `file` has a `path`: a mesh or a texture.
+    `file` has a `path`: a mesh or a texture. None for one that is missing.
     """
     try:
         found = file.path.stat()
     except OSError:
-        return (0, 0)
+        return None
     return (found.st_mtime_ns, found.st_size)
 
 
@@ -242,7 +242,6 @@ def _collada_parts(path: Path, submesh: str) -> Iterator[MeshPart]:
             if part.texcoordset:
                 # As in Gazebo, the first of several.
                 picture = np.asarray(part.texcoordset[0], float)[part.texcoord_indexset[0]]
-                picture = picture[..., :2]
             vertices, faces = metres * np.asarray(part.vertex, float), part.vertex_index
             effect = getattr(part.material, "effect", None)
             yield MeshPart(vertices, np.asarray(faces, int), normals, picture, effect)

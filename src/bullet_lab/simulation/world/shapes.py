@@ -174,7 +174,7 @@ def load_triangles(mesh: Mesh) -> MeshPart:
 
 
 @functools.lru_cache(maxsize=CACHED_MESHES)
-def _load(mesh: Mesh, _version: tuple[int, int]) -> MeshPart:
+def _load(mesh: Mesh, _version: tuple[int, int] | None) -> MeshPart:
     path = mesh.path
     if path.suffix.lower() not in KNOWN_SUFFIXES:
         raise MeshError(f"{path}: unknown kind of mesh; use {', '.join(KNOWN_SUFFIXES)}")

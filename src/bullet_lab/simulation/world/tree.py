@@ -93,12 +93,10 @@ def rooted(links: Sequence[Link], joints: Sequence[Joint], source: str) -> tuple
         ends[joint.child].append(joint)
     children = {joint.child for joint in kept}
     away: dict[str, Joint] = {}
-    reached = set(anchored)
     # Links that are no child come before those whose joint would have to be reversed.
     for start in (*anchored, *(name for name in names if name not in children), *names):
-        queue = [start] if start in anchored or start not in reached else []
+        queue = [start]
         for name in queue:
-            reached.add(name)
             for joint in (joint for joint in ends[name] if joint.name not in away):
                 away[joint.name] = joint if joint.parent == name else _reversed(joint)
                 queue.append(away[joint.name].child)
@@ -374,7 +372,8 @@ def _without_massless(links: Links, joints: Joints, where: str) -> tuple[Links, 
             others = f", and with it {', '.join(below[1:])}" if below[1:] else ""
             what = "moves and has no mass; it is left out"
             LOG.warning("%s: link '%s' %s%s", where, link.name, what, others)
-    kept = [j for j in joints if j.child not in dropped and j.parent not in dropped]
+    # Below a link that is dropped, all are.
+    kept = [joint for joint in joints if joint.child not in dropped]
     return tuple(link for link in links if link.name not in dropped), tuple(kept)
 
 

@@ -61,7 +61,7 @@ def drive_of(robot, tags=None, file=""):
 def test_drives_are_as_before(caplog):
     told = []
     for name, case in yaml.safe_load((HERE / "drives.yaml").read_text()).items():
-        steps, start = case.pop("steps"), Pose((0.0, 0.0, case.pop("height", 0.0)))
+        steps, start = case.pop("steps"), Pose.from_rpy(*case.pop("start", [[0.0] * 3] * 2))
         with Simulation.of(EMPTY_WORLD) as simulation:
             robot = simulation.add(drive_of(**case), pose=start)
             heard = listen((name, plugin) for plugin in robot.plugins)
@@ -69,6 +69,7 @@ def test_drives_are_as_before(caplog):
                 robot.command("cmd_vel", PlanarCommand(*velocity))
                 simulation.run_for(seconds)
                 told += lines_of([*robot.pose().position, robot.pose().yaw], f"{name} is at")
+                told += lines_of(getattr(robot.plugins[0], "origin", None), f"{name} from")
                 for body in robot.bodies.values():
                     for joint in body.joint_names:
                         state = body.joint_state(joint)

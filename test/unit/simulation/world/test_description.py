@@ -4,21 +4,48 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from shared import cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.world.description import (
     Box,
     Collision,
+    FrameState,
+    Inertia,
+    Joint,
+    Light,
     Link,
+    Mesh,
     Model,
+    ModelState,
+    Plane,
+    PluginTag,
     Sphere,
     Texture,
+    Visual,
     World,
     footprints,
 )
 
 HERE = Pose()
+PLAIN = (
+    Texture(Path()),
+    Visual(Plane()),
+    Collision(Mesh(Path(), "")),
+    Inertia(1.0, (0.0, 0.0, 0.0), np.eye(3)),
+    Joint("joint", "fixed", "parent", "child"),
+    PluginTag("file", "plugin", {}),
+    Model("model", (Link("link"),)),
+    Light("light", "spot", HERE),
+    FrameState(HERE),
+    ModelState(HERE),
+    World("world"),
+)
+
+
+def test_what_is_not_said_is_as_before():
+    assert_as_before(lines_of(PLAIN, "plain"), Path(__file__).with_name("plain.txt"))
 
 
 def world_of(*collisions, pose=HERE, static=True):

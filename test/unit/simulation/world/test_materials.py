@@ -126,6 +126,19 @@ def test_a_huge_script_is_ignored(shop, monkeypatch, caplog):
     assert "larger than 10 bytes; its materials are ignored" in caplog.text
 
 
+def test_files_of_a_folder_are_known_in_order_up_to_a_limit(shop, monkeypatch, caplog):
+    textures, told = shop / "shop/materials/textures", []
+    for name in "abcdefgh":
+        (textures / name).mkdir()
+        (textures / name / "lost.png").touch()
+    # With the picture beside these folders, there are nine files.
+    for most in (9, 8):
+        monkeypatch.setattr(materials, "MOST_FILES", most)
+        assert visual_of(script("Shop/Lost")).material.texture.path == textures / "a/lost.png"
+        told.append(caplog.messages[:])
+    assert told == [[], [f"{textures}: has over 8 files; the rest is ignored"]]
+
+
 def test_pictures_never_lie_outside_of_the_folders(shop, tmp_path, caplog):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "secret.png")
     textures = shop / "shop" / "materials" / "textures"
@@ -202,7 +215,7 @@ def test_a_material_as_in_sdf_for_a_link_of_a_urdf(shop):
 # The language of the scripts, with what real ones have in them
 
 HERE = Path(__file__).parent
-CHILDREN = "ByName", "ByPlace", "ByPattern", "New", "Deep"
+CHILDREN = "ByName", "ByPlace", "ByPattern", "New", "Deep", "ThreePlaces"
 
 
 def blocks(text):
@@ -233,7 +246,9 @@ text, mistake, kept:
   - ["material A { }\nmaterial B {\n technique {", "'technique ' is not closed", [A]]
   - ["\n\nmaterial A { } }\nmaterial B { }", "line 3: a '}' that closes nothing", [A]]
   - ["material A { }\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
-     a { a { a {", more than 20 blocks, [A]]
+     } } } } } } } } } } } } } } } } } } }", '', [A, '']]
+  - ["material A { }\n\na { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a { a {
+     a { } } } } } } } } } } } } } } } } } } } }", 'line 3: more than 20 blocks', [A]]
   - ["material A { technique { name \"open\n } }", '', [A]]
   - ['material A { /* open', "'material A' is not closed", []]
   - ['', '', []]

@@ -9,6 +9,7 @@ from bullet_lab.simulation.world.resources import (
     ResourceError,
     ResourceFinder,
     package_share,
+    package_uri,
     ros_package_folder,
 )
 
@@ -19,7 +20,7 @@ def files(tmp_path):
     for name in ("pkg/urdf/a.urdf", "pkg/meshes/m x.stl", "pkg/package.xml", "secret/s.stl"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    for name in ("first/car", "second/car", "second/tree"):
+    for name in ("first/car", "second/car", "second/tree/a b.dae"):
         (tmp_path / name).mkdir(parents=True)
     (tmp_path / "pkg/meshes/link.stl").symlink_to(tmp_path / "secret/s.stl")
     (tmp_path / "first/way_out").symlink_to(tmp_path / "secret")
@@ -69,6 +70,7 @@ URIS = """
 - file://ELSEWHERE/meshes/nix.stl
 - file://ELSEWHERE/../../secret/s.stl
 - model://nix
+- model://tree/a%20b.dae
 - model://../secret/s.stl
 - model://car/../../secret/s.stl
 # Whether a file outside exists is not told.
@@ -88,7 +90,8 @@ def test_what_may_be_found_and_what_not_are_as_before(finder, files):
         there = uri.replace("ELSEWHERE", "/home/student/catkin_ws/src/pkg")
         there = there.replace("HERE", str(files))
         try:
-            said = f"{uri}: {finder.find(there).resolve()}"
+            found = finder.find(there).resolve()
+            said = f"{uri}: {found} is {package_uri(found) or 'of no package'}"
         except ResourceError as error:
             said = str(error)
         told.append(said.replace(str(files), "HERE"))
@@ -124,6 +127,18 @@ def test_the_user_may_name_any_file(files, monkeypatch):
 def test_the_lab_finds_itself(package):
     assert ros_package_folder("bullet_lab") == package
     assert ros_package_folder("no_such_package") is None
+
+
+def test_an_installed_lab_finds_its_share(tmp_path, monkeypatch):
+    library, prefix = "lib/python3/dist-packages/bullet_lab", tmp_path / "local"
+    place = prefix / library / "simulation/world/resources.py"
+    monkeypatch.setattr(resources, "__file__", str(place))
+    for above in (tmp_path, prefix):
+        with pytest.raises(ResourceError, match=f"neither in {prefix}/lib/python3 nor installed"):
+            package_share()
+        (above / "share/bullet_lab").mkdir(parents=True)
+        (above / "share/bullet_lab/package.xml").touch()
+    assert package_share() == prefix / "share/bullet_lab"
 
 
 def test_the_order_of_model_folders_is_gazebos(files, monkeypatch):

@@ -48,6 +48,7 @@ TURN = math.pi / 2
 @cases("""
 version, said, extra, expected:
   - ['1.4', '', '', [0, -1, 0]]
+  - ['1.5', '', '', [1, 0, 0]]
   - ['1.6', '', '', [1, 0, 0]]
   - ['1.6', '', <use_parent_model_frame>1</use_parent_model_frame>, [0, -1, 0]]
   - ['1.7', ' expressed_in="a"', '', [0, -1, 0]]

@@ -9,12 +9,14 @@ from bullet_lab.simulation.world.description import (
     Inertia,
     Joint,
     Link,
+    Model,
 )
 from bullet_lab.simulation.world.tree import (
     check_tree,
     combine,
     principal_axes,
     top_down,
+    usable,
 )
 from bullet_lab.simulation.world.xml import XmlError
 
@@ -54,6 +56,15 @@ def test_joint_names_are_not_shared():
         check_tree(links("abc"), joints("ab") + joints("ac"), "s")
 
 
+def test_what_has_no_mass_is_left_out_once_with_all_that_hangs_on_it(caplog):
+    bodies = [Link(name, inertia=box(1.0, 1, 1, 1) if name.isupper() else None) for name in "AbcDE"]
+    parts = (*bodies, Link("post", anchored=True)), joints("Ab", "bc", "cD", "AE")
+    found = usable(Model("m", *parts))
+    assert [part.name for part in (*found.links, *found.joints)] == ["A", "E", "post", "j3"]
+    what = "moves and has no mass; it is left out, and with it c, D"
+    assert caplog.messages == [f"model 'm': link 'b' {what}"]
+
+
 def box(mass, x, y, z, centre=(0.0, 0.0, 0.0)):
     squares = (y * y + z * z, x * x + z * z, x * x + y * y)
     return Inertia(mass, centre, mass / 12.0 * np.diag(squares))
@@ -69,16 +80,18 @@ def test_unequal_parts_of_a_turned_box():
     parts = [(short, turned), (long, turned * Pose((0.2, 0.0, 0.0))), (nothing, Pose())]
     whole = combine(parts)
     turn = turned.rotation_matrix()
+    assert combine(2 * parts[2:]).centre == (9.0, 9.0, 9.0)
     assert whole.mass == 3.0
     assert whole.centre == pytest.approx((turned * Pose((0.3, 0.0, 0.0))).position)
     assert whole.matrix == pytest.approx(turn @ box(3.0, 0.6, 0.2, 0.1).matrix @ turn.T)
 
 
-def test_principal_axes_of_a_turned_box():
-    turned = Pose.from_rpy((0, 0, 0), (0.2, 0.7, -1.0))
-    turn = turned.rotation_matrix()
-    straight = box(3.0, 0.6, 0.2, 0.1).matrix
-    moments, frame = principal_axes(Inertia(3.0, (1.0, 2.0, 3.0), turn @ straight @ turn.T))
+@cases("angles: [[0.2, 0.7, -1.0], [1.3, -0.4, 0.5], [-2.0, 0.1, 0.9], [0.4, 1.2, 2.5]]")
+@cases("mass: [3.0e-7, 3.0e+7]")
+def test_principal_axes_of_a_turned_box(angles, mass):
+    turn = Pose.from_rpy((0, 0, 0), angles).rotation_matrix()
+    straight = box(mass, 0.6, 0.2, 0.1).matrix
+    moments, frame = principal_axes(Inertia(mass, (1.0, 2.0, 3.0), turn @ straight @ turn.T))
     assert sorted(moments) == pytest.approx(sorted(np.diag(straight)))
     assert frame.position == (1.0, 2.0, 3.0)
     axes = frame.rotation_matrix()

@@ -56,6 +56,7 @@ file, reader:
   - [urdf/camera_robot.urdf, read_urdf_file]
   - [whole.obj, parts_of]
   - [whole.dae, parts_of]
+  - [corner.obj, parts_of]
 """)
 def test_whole_files_are_read_as_before(file, reader, caplog):
     path = (PACKAGE if "/" in file else HERE) / file

@@ -1,4 +1,8 @@
 import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from sensor_worlds import INERTIAL
@@ -26,6 +30,25 @@ def without_coverage(monkeypatch):
 
 
 @pytest.fixture
+def limits(monkeypatch, capsys):
+    """Expand in this process; return the limits that would be set for the other one."""
+
+    def run(command, env, **options):
+        found.update(options)
+        monkeypatch.setattr(sys, "argv", command[2:])
+        monkeypatch.setattr(sys, "path", ["", *sys.path])
+        code, said = xacro_child.main(), capsys.readouterr()
+        return subprocess.CompletedProcess(command, code, said.out.encode(), said.err.encode())
+
+    found = {}
+    monkeypatch.setattr(xacro_files.subprocess, "run", run)
+    monkeypatch.setattr(resource, "setrlimit", found.__setitem__)
+    for name in ("ament_index_python", "ament_index_python.packages"):
+        monkeypatch.setitem(sys.modules, name, None)
+    return found
+
+
+@pytest.fixture
 def write(tmp_path):
     def writer(body, name="robot.urdf.xacro", head=HEAD):
         path = tmp_path / name
@@ -41,7 +64,7 @@ def test_properties_and_expressions(write):
     assert model.links[0].collisions[0].geometry == Box(pytest.approx((0.6, 0.3, 1.0)))
 
 
-def test_macros_arguments_and_conditions(write):
+def test_macros_arguments_and_conditions(write, limits):
     path = write(
         '<xacro:arg name="wide" default="true"/><xacro:property name="w" value="1"/>'
         '<xacro:macro name="plate" params="name w"><link name="${name}">'
@@ -50,9 +73,20 @@ def test_macros_arguments_and_conditions(write):
         '<xacro:unless value="$(arg wide)"><xacro:plate name="base" w="2"/></xacro:unless>'
     )
     assert read_urdf_file(path).links[0].collisions[0].geometry.size == (3, 1, 1)
+    seconds, memory, nothing = (30, 30), (1 << 30,) * 2, (0, 0)
+    assert limits == {
+        resource.RLIMIT_CPU: seconds,
+        resource.RLIMIT_AS: memory,
+        resource.RLIMIT_FSIZE: nothing,
+        resource.RLIMIT_CORE: nothing,
+        "stdin": subprocess.DEVNULL,
+        "capture_output": True,
+        "timeout": 60,
+        "check": False,
+    }
 
 
-def test_includes_beside_it_and_in_packages(write, tmp_path):
+def test_includes_beside_it_and_in_packages(write, tmp_path, limits):
     write('<xacro:property name="w" value="0.5"/>', "sizes.xacro")
     model = read_urdf_file(write('<xacro:include filename="sizes.xacro"/>' + LINK))
     assert model.links[0].collisions[0].geometry.size == (1.0, 0.5, 1.0)
@@ -60,7 +94,7 @@ def test_includes_beside_it_and_in_packages(write, tmp_path):
     assert 'link name="laser_link"' in expand_xacro(write(here, "other.xacro"))
 
 
-def test_a_package_that_is_not_there(write):
+def test_a_package_that_is_not_there(write, limits):
     path = write('<xacro:include filename="$(find nowhere_at_all)/x.xacro"/>')
     with pytest.raises(XacroError, match="no ROS package 'nowhere_at_all'"):
         expand_xacro(path)
@@ -74,13 +108,14 @@ def test_it_can_be_spawned_by_its_path(write):
 
 @cases("""
 body, message:
-  - [<link, no element found|unclosed token|not well-formed]
+  - [<link, ': xacro: (no element found|unclosed token|not well-formed)']
+  - ['<link name="${''ha'' * 10 ** 15}"/>', ': xacro took more than 1024 MB of memory$']
   - ['<link name="${no_such_name}"/>', no_such_name]
   - [<xacro:include filename="missing.xacro"/>, missing.xacro]
   - [<link name="$(arg never_given)"/>, never_given]
   - ['<property name="w" value="1"/><link name="${w}"/>', <property> is <xacro:prop]
 """)
-def test_refusals_are_one_line_with_the_file(write, body, message):
+def test_refusals_are_one_line_with_the_file(write, limits, body, message):
     path = write(body)
     with pytest.raises(XacroError, match=message) as refusal:
         read_urdf_file(path)
@@ -99,9 +134,33 @@ def test_the_command_names_tags_of_before_noetic(write, monkeypatch, capsys):
     assert "name 'a' is not defined" in said[1]
 
 
-def test_without_the_package_it_says_so(write, monkeypatch, tmp_path):
-    (tmp_path / "xacro.py").write_text("raise ImportError")
-    monkeypatch.syspath_prepend(str(tmp_path))
+@cases(r"""
+code, out, error, said:
+  - [0, <robot/>, a warning, <robot/>]
+  - [0, <robot />, '', 'x: xacro makes more than 8 bytes of it']
+  - [2, '', "one\n two, much longer", 'x: two, much']
+  - [1, '', '', 'x: xacro failed without a message']
+  - [-9, '', killed, 'x: xacro took more than 30 s']
+  - [null, '', '', 'x: xacro took longer than 60 s']
+""")
+def test_what_the_process_leaves(monkeypatch, code, out, error, said):
+    def run(command, **_):
+        if code is None:
+            raise subprocess.TimeoutExpired(command, 60.0)
+        return subprocess.CompletedProcess(command, code, out.encode(), error.encode())
+
+    monkeypatch.setattr(xacro_files.subprocess, "run", run)
+    monkeypatch.setattr(xacro_files, "MAXIMUM_BYTES", 8)
+    monkeypatch.setattr(xacro_files, "LONGEST_MESSAGE", 11)
+    try:
+        told = expand_xacro(Path("x"))
+    except XacroError as refusal:
+        told = str(refusal)
+    assert told == said
+
+
+def test_without_the_package_it_says_so(write, limits, monkeypatch):
+    monkeypatch.setitem(sys.modules, "xacro", None)
     with pytest.raises(XacroError, match="xacro is not installed"):
         expand_xacro(write(""))
 

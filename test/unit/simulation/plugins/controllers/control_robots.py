@@ -1,6 +1,7 @@
 """Robots of our own for tests of ros_control, and their plugins ready for controllers."""
 
 import math
+from pathlib import Path
 
 import yaml
 from shared import PACKAGE
@@ -154,6 +155,8 @@ def run(manager, name, **parameters):
     return controller
 
 
+CASES = yaml.safe_load((Path(__file__).parent / "controllers.yaml").read_text())
+"""Controllers on robots, and their commands."""
 CAR = yaml.safe_load((PACKAGE / "test/drives/car.yaml").read_text())["drive"]
 """Parameters of the car's controller."""
 

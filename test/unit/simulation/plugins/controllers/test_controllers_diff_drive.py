@@ -1,9 +1,7 @@
 import math
-from pathlib import Path
 
 import pytest
-import yaml
-from control_robots import listen, run, spawn
+from control_robots import CASES, listen, run, spawn
 from shared import cases
 
 from bullet_lab.core.pose import Pose
@@ -11,12 +9,7 @@ from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.controllers.diff_drive import SpeedLimiter
 from bullet_lab.simulation.plugins.samples import PlanarCommand
 
-CASES = yaml.safe_load((Path(__file__).parent / "controllers.yaml").read_text())
 WHEELS = CASES["drive"]["parameters"]
-GENTLE = yaml.safe_load("""
-linear: {x: {has_acceleration_limits: true, max_acceleration: 0.5}}
-angular: {z: {has_acceleration_limits: true, max_acceleration: 1.0}}
-""")
 
 
 def drive(world, **parameters):
@@ -30,34 +23,6 @@ def go(world, controller, seconds, vx=0.0, wz=0.0):
     """Command a velocity and let time pass."""
     controller.command(PlanarCommand(vx=vx, wz=wz))
     world.run_for(seconds)
-
-
-def test_its_odometry_is_the_truth(world):
-    robot, controller, odometry = drive(world, **GENTLE, cmd_vel_timeout=10.0)
-    go(world, controller, 3.0, vx=0.5)
-    sample = odometry[-1]
-    assert sample.pose.position[0] == pytest.approx(robot.pose().position[0], rel=0.02)
-    assert sample.velocity.vx == pytest.approx(0.5, rel=0.01)
-    assert (sample.frame, sample.child_frame) == ("odom", "base_link")
-    assert sample.pose_variances == (0.001, 0.002, 0.003, 0.004, 0.005, 0.03)
-    assert sample.twist_variances[-1] == 3.0
-    go(world, controller, 3.0, wz=0.5)
-    pose, driven = odometry[-1].pose, robot.pose()
-    assert math.dist(pose.position, driven.position) < 0.02
-    assert pose.yaw == pytest.approx(driven.yaw, rel=0.02)
-
-
-def test_it_stops_when_no_command_comes(world):
-    robot, controller, _ = drive(world, cmd_vel_timeout=0.3)
-    # Commands again and again keep it going.
-    for seconds in (0.2, 0.2, 0.29):
-        go(world, controller, seconds, vx=0.2)
-        assert controller.joints[0].velocity == pytest.approx(0.2 / 0.06, rel=0.02)
-    world.run_for(0.05)
-    assert controller.joints[0].command == 0.0
-    world.run_for(0.3)
-    # 0.2 m/s for 0.7 s, and nothing since.
-    assert robot.pose().position[0] == pytest.approx(0.14, abs=0.005)
 
 
 def test_a_jerk_is_limited():

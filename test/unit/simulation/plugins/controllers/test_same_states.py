@@ -9,7 +9,7 @@ import pytest
 import yaml
 from alike import assert_as_before, lines_of
 from arm_robots import arm_controller, trajectory
-from control_robots import CAR, listen, run, spawn, spawn_base, spawn_car
+from control_robots import CAR, CASES, listen, run, spawn, spawn_base, spawn_car
 
 from bullet_lab.simulation.plugins.controllers import ControlError
 from bullet_lab.simulation.plugins.samples import Trajectory
@@ -34,17 +34,23 @@ def controller_of(world, name, robot="bot", parameters=(), hardware=None, spawne
 
 def test_states_are_as_before(caplog):
     told = []
-    for name, case in yaml.safe_load((HERE / "controllers.yaml").read_text()).items():
+    for name, given in CASES.items():
+        case = dict(given)
         steps = case.pop("steps", [[[0.8], 0.45]])
         with Simulation.of(FLOOR) as world:
             controller = controller_of(world, name, **case)
+            (*_, robot) = world.models.values()
+            told += lines_of([one.name for one in controller.joints], name)
             samples = {output.topic: listen(output) for output in controller.outputs}
             for command, seconds in steps:
                 for entry in controller.inputs[-1:]:
                     entry.handle(WAY if entry.kind is Trajectory else entry.kind(*command))
                 world.run_for(seconds)
-                joints = [(one.name, one.position, one.velocity) for one in controller.joints]
-                told += lines_of(joints, name)
+                joints = [
+                    (one.name, one.interface, one.position, one.velocity)
+                    for one in controller.handles.values()
+                ]
+                told += lines_of([robot.pose(), *joints], name)
         for topic, found in samples.items():
             told += [f"{topic}: {len(found)}", *lines_of(found[-1:], topic)]
     told += caplog.messages
