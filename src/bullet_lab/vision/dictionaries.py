@@ -261,7 +261,7 @@ def _refine_once(
     first = corners + outward * level[..., None]
     second = corners + edges + outward * (level + slope)[..., None]
     met = intersections(first, right_of(second - first))
-    seen = (weights > 0.0).sum(axis=-1) >= _LEAST_SEEN * _CROSSINGS
+    seen = np.count_nonzero(weights, axis=-1) >= _LEAST_SEEN * _CROSSINGS
     met[~(seen & (lengths >= _LEAST_SIDE)).all(axis=1)] = np.nan
     return met
 

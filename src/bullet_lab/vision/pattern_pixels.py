@@ -139,7 +139,7 @@ class Pixels:
         if self.chosen is not None:
             kernel = _with_neighbours(shared)
             return self._filtered(columns, kernel, kernel)
-        if self.group > 1:
+        if self.group != 1:
             columns = _less_mean(columns, self.valid)
         return columns if self.flooded is None else self._less_pattern(columns, value)
 
