@@ -90,8 +90,8 @@ def lines_of_candidates(seed):
     where lines along edges meet.
     """
     chance = np.random.default_rng(seed)
-    image = np.full((480, 640), 200, np.uint8)
-    for middle in np.argwhere(np.ones((8, 6)))[: 5 + 43 * (seed % 2)] * 80 + 40:
+    image = np.full((480 - seed, 640 - seed), 200, np.uint8)
+    for middle in np.argwhere(np.ones((8, 6)))[: (4, 48)[seed % 2]] * 80 + 40:
         turns = 1.57 * np.arange(4) + chance.random() * chance.uniform(0.0, 1.5, 4)
         around = np.stack((np.cos(turns), np.sin(turns)), axis=1) * chance.uniform(3.0, 38.0, 2)
         for scale, grey in ((1.0, chance.integers(20, 199)), (chance.uniform(0.0, 0.8), 200)):
@@ -99,7 +99,7 @@ def lines_of_candidates(seed):
             cv2.fillPoly(image, [outline], int(grey), cv2.LINE_AA, 4)
         corner = (middle + around[0]).astype(int).tolist()
         cv2.circle(image, corner, int(chance.integers(8)), 200, -1)
-    image = noisy(image, chance.uniform(0.0, 6.0), chance)
+    image = noisy(image, chance.uniform(0.0, (1.0, 6.0)[seed % 2]), chance)
     search = CandidateSearch(image, 8.0)
     passes = search.first_pass(7.0), search.second_pass(7.0), search.open_pass(7.0)
     for quads in passes:
