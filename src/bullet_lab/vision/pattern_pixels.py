@@ -38,8 +38,7 @@ _BEYOND = 1.3
 # its edges are.
 _SMALL = 30.0
 _MOST_PIXELS = 600
-# At most so many places along each cell's edge, and so many px to either side.
-_PLACES = 5
+# So many px to either side of a place of an edge.
 _REACH = 2
 _GROUP = 2 * _REACH + 1
 # All pixels of a large marker are used in an image with much blur; of one with a larger mean side,
@@ -321,7 +320,7 @@ def _unit_edges(pattern: bytes, cells: int) -> tuple[ndarray, ndarray]:
     # 1 where white is beyond the edge, for those across each row and across each column.
     changes = np.diff(white[1:-1], axis=1), np.diff(white[:, 1:-1].T, axis=1)
     edges = np.count_nonzero(changes)
-    each = int(np.clip(_MOST_PIXELS / (_GROUP * edges), 2, _PLACES))
+    each = max(2, _MOST_PIXELS // (_GROUP * edges))
     along = (np.arange(each) + 0.5) / each
     points, normals = [], []
     for change, order in zip(changes, (1, -1)):

@@ -58,14 +58,17 @@ def test_harris_corners(square):
 def drawn():
     """All that is drawn, in one image: a marker from near by and another, corners and texts."""
     near, far = View(0.8, yaw=20.0, shift=(-0.1, 0.0)), View(3.0, shift=(1.2, -1.0))
+    # With hardly broad lines.
+    between = View(1.66, shift=(0.2, -0.3))
     image = np.dstack([image_of([marker()], far, samples=4)] * 3)
-    for view in (near, far):
+    for view in (near, between, far):
         corners = true_corners(view)
         pose = estimate_pose(corners, 0.2, CAMERA).best
         drawing.draw_axes(image, pose, 0.2, CAMERA)
         drawing.draw_marker(image, DetectedMarker(0, corners, 0, 1.0, np.eye(8)), "id 0  4.00 m")
-    # Behind the camera there are none.
-    drawing.draw_axes(image, pose, 9.0, CAMERA)
+    # Behind the camera and too far aside there are none.
+    for size in (9.0, 5.992):
+        drawing.draw_axes(image, pose, size, CAMERA)
     for place in ((-50, -50), (10_000, 10_000)):
         drawing.draw_text(image, "in the image", place)
     drawing.draw_points(image, np.array([[450.2, 240.6, 1.0]]))
