@@ -136,8 +136,10 @@ def lines_of_fit(seed):
     if fit:
         yield from lines_of([fit.hidden, *(fit.corners - true).ravel()], "fit")
         yield from lines_of(numbers_of(fit.covariance), "fit")
-        pose = estimate_pose(picture.seen(corners), 1.0, camera, 0.05, fit.covariance)
-        yield from lines_of_poses(pose, "pose")
+        # The second is of corners some of which are all but exact.
+        for sigma, covariance in ((0.05, fit.covariance), (0.0, np.diag(np.arange(8.0)))):
+            pose = estimate_pose(picture.seen(corners), 1.0, camera, sigma, covariance)
+            yield from lines_of_poses(pose, "pose")
 
 
 @pytest.mark.parametrize("seed", range(24))
