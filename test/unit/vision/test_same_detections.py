@@ -91,6 +91,8 @@ def lines_of_candidates(seed):
     """
     chance = np.random.default_rng(seed)
     image = np.full((480 - seed, 640 - seed), 200, np.uint8)
+    # As long as a side may be.
+    image[400:432, 200:470] = 90
     for middle in np.argwhere(np.ones((8, 6)))[: (4, 48)[seed % 2]] * 80 + 40:
         turns = 1.57 * np.arange(4) + chance.random() * chance.uniform(0.0, 1.5, 4)
         around = np.stack((np.cos(turns), np.sin(turns)), axis=1) * chance.uniform(3.0, 38.0, 2)
