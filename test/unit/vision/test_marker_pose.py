@@ -57,6 +57,8 @@ def test_the_frame_of_a_marker_is_x_right_y_up_z_out_of_its_face():
     pose = estimated(View(1.0)).best
     np.testing.assert_allclose(pose.rotation, np.diag([1.0, -1.0, -1.0]), atol=1e-6)
     assert pose.distance == pytest.approx(1.0)
+    # A side of 1.2 px.
+    assert estimated(View(84.0)).best.distance == pytest.approx(84.0, rel=1e-3)
 
 
 def test_the_two_poses_are_mirrored_about_the_line_of_sight():
