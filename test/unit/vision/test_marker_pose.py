@@ -57,6 +57,9 @@ def test_the_frame_of_a_marker_is_x_right_y_up_z_out_of_its_face():
     pose = estimated(View(1.0)).best
     np.testing.assert_allclose(pose.rotation, np.diag([1.0, -1.0, -1.0]), atol=1e-6)
     assert pose.distance == pytest.approx(1.0)
+    # With a coordinate that is certain.
+    certain = estimate_pose(true_corners(View(1.0)), SIZE, CAMERA, 0.0, np.diag(np.arange(8.0)))
+    assert certain.best.error < 1e-4
     # A side of 1.2 px.
     assert estimated(View(84.0)).best.distance == pytest.approx(84.0, rel=1e-3)
 

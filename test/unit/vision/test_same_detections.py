@@ -123,7 +123,7 @@ def test_candidates_are_as_before(seed):
 def lines_of_fit(seed):
     """Of a marker with things before it: what may be in its cells, its corners and its poses."""
     chance, camera = np.random.default_rng(seed), (CAMERA, BENT)[seed % 2]
-    view = View(chance.uniform(0.7, 3.5) ** (1 + seed % 3), *chance.uniform(-50.0, 50.0, 3))
+    view = View(chance.uniform(1.2, 3.5) ** (1 + seed % 3), *chance.uniform(-50.0, 50.0, 3))
     places = chance.uniform(-0.5, 0.5, (12, 2))
     things = [Layer(np.full((1, 1), 90.0 * chance.random()), 0.08, place) for place in places]
     image = image_of([marker(seed, size=1.0), *things], view, camera, samples=2, blur=1.2)
@@ -138,10 +138,8 @@ def lines_of_fit(seed):
     if fit:
         yield from lines_of([fit.hidden, *(fit.corners - true).ravel()], "fit")
         yield from lines_of(numbers_of(fit.covariance), "fit")
-        # The second is of corners some of which are all but exact.
-        for sigma, covariance in ((0.05, fit.covariance), (0.0, np.diag(np.arange(8.0)))):
-            pose = estimate_pose(picture.seen(corners), 1.0, camera, sigma, covariance)
-            yield from lines_of_poses(pose, "pose")
+        pose = estimate_pose(picture.seen(corners), 1.0, camera, 0.05, fit.covariance)
+        yield from lines_of_poses(pose, "pose")
 
 
 @pytest.mark.parametrize("seed", range(24))
