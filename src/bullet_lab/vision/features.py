@@ -24,7 +24,7 @@ def good_features(
     corners = cv2.goodFeaturesToTrack(grey, count, quality, distance)
     if corners is None:
         return np.empty((0, 3))
-    places = corners.reshape(-1, 2).astype(float)
+    places = corners[:, 0].astype(float)
     strength = cv2.cornerMinEigenVal(grey, 3)
     column, row = np.rint(places).astype(int).T
     return np.column_stack((places, strength[row, column]))

@@ -123,7 +123,7 @@ def test_candidates_are_as_before(seed):
 def lines_of_fit(seed):
     """Of a marker with things before it: what may be in its cells, its corners and its poses."""
     chance, camera = np.random.default_rng(seed), (CAMERA, BENT)[seed % 2]
-    view = View(chance.uniform(1.2, 3.5) ** (1 + seed % 3), *chance.uniform(-50.0, 50.0, 3))
+    view = View(chance.uniform(0.6, 3.5) ** (1 + seed % 3), *chance.uniform(-50.0, 50.0, 3))
     places = chance.uniform(-0.5, 0.5, (12, 2))
     things = [Layer(np.full((1, 1), 90.0 * chance.random()), 0.08, place) for place in places]
     image = image_of([marker(seed, size=1.0), *things], view, camera, samples=2, blur=1.2)
@@ -135,7 +135,8 @@ def lines_of_fit(seed):
     corners = without_hidden_side(picture, corners, pattern)
     yield from lines_of(corners - true, "off without a side")
     fit = fit_pattern(picture, corners, pattern)
-    if fit:
+    # One that is not all in the image hardly has a fit.
+    if fit and view.distance > 2.0:
         yield from lines_of([fit.hidden, *(fit.corners - true).ravel()], "fit")
         yield from lines_of(numbers_of(fit.covariance), "fit")
         pose = estimate_pose(picture.seen(corners), 1.0, camera, 0.05, fit.covariance)
