@@ -395,7 +395,7 @@ def quads_in_cells(
     if lengths_of(corners[NEXT] - corners).min() < cells * min_side:
         return _NONE
     to_image = homography(corners)
-    levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
+    levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, _SAMPLES**2)
     is_white = (pattern > 0).ravel()
     black = _quantile(levels[~is_white], _BLACK_SHARE)
     white = _quantile(levels[is_white], _WHITE_SHARE)

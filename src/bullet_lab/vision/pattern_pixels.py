@@ -190,11 +190,11 @@ def _less_mean(columns: ndarray, valid: ndarray) -> ndarray:
     """Return columns (m, n) less the mean of the valid pixels of each group; 0 for the others."""
     grouped = columns.reshape(len(columns), _GROUP, -1)
     if valid.all():
-        return (grouped - grouped.sum(axis=1, keepdims=True) / _GROUP).reshape(len(columns), -1)
-    valid = valid.reshape(_GROUP, -1).astype(float)
+        return (grouped - grouped.sum(axis=1, keepdims=True) / _GROUP).reshape(columns.shape)
+    valid = valid.reshape(grouped.shape[1:]).astype(float)
     grouped = valid * grouped
     means = grouped.sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=0), 1.0)
-    return (grouped - valid * means).reshape(len(columns), -1)
+    return (grouped - valid * means).reshape(columns.shape)
 
 
 def pixels_of(
@@ -278,7 +278,7 @@ def _edge_pixels(
         flooded = np.tile((by_group >= _BRIGHTEST).any(axis=0), _GROUP)
     elif (levels >= _BRIGHTEST).mean() >= _CLIPPED:
         valid = levels < _over_exposed(levels)
-        of_groups = valid.reshape(_GROUP, -1)
+        of_groups = valid.reshape(by_group.shape)
         over_exposed = bool((of_groups.any(axis=0) & ~of_groups.all(axis=0)).any())
     cut_off = over_exposed and cut_off
     valid |= cut_off
