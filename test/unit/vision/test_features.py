@@ -5,8 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from alike import assert_as_before, lines_of
 from marker_images import CAMERA, View, image_of, marker, true_corners
-from scipy.spatial.distance import pdist
 from shared import cases
 
 from bullet_lab.vision import drawing
@@ -33,26 +33,34 @@ def distances(points):
     return np.linalg.norm(points[:, None, :2] - CORNERS, axis=2).min(axis=0)
 
 
-def test_good_features_strongest_first_and_apart(square):
+def test_good_features_strongest_first(square):
     points = good_features(square)
     assert distances(points)[:2].max() < 3.0
     assert (np.diff(points[:, 2]) <= 1e-6).all()
     assert len(good_features(square, count=2)) == 2
     assert good_features(EVEN).shape == (0, 3)
-    noise = np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8)
-    assert pdist(good_features(noise, 100, 0.01, 30.0)[:, :2]).min() >= 30.0
 
 
 def test_harris_corners(square):
     area, points = harris_corners(square)
     assert (np.diff(points[:, 2]) <= 0.0).all()
-    assert points[0, 2] > 1.5 * points[-1, 2]
     assert distances(points).max() < 3.0
     # Squares of some pixels about the corners, as in figure 7d, and nothing elsewhere.
     assert area.sum() < 12 * 60
     for u, v in CORNERS:
         assert area[v - 3 : v + 4, u - 3 : u + 4].any()
     assert not harris_corners(EVEN)[0].any()
+
+
+def test_corners_are_as_before():
+    noise = np.random.default_rng(1).integers(0, 256, (60, 80)).astype(np.uint8)
+    image = cv2.GaussianBlur(noise, (0, 0), 3.0)
+    area, harris = harris_corners(image)
+    told = [str(area.sum())]
+    # Which of the weak ones are peaks is up to the processor.
+    for points in (harris[:30], good_features(image)):
+        told += lines_of(points / points[0], "points")
+    assert_as_before(told, Path(__file__).with_name("corners.txt"), within=1e-4)
 
 
 def drawn():
