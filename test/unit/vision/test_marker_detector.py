@@ -122,12 +122,16 @@ def test_images_that_are_none():
 
 @cases("""
 wrong:
-  # The other limits are declared, as those of all parameters.
   - {tags: x}
   - {refine: all}
   - {ids: [2320]}
   - {ids: [-1]}
-  - {min_side: 2.0}
+  - {min_side: 4.9}
+  - {border: -0.1}
+  - {contrast: -0.1}
+  - {contrast: 255.1}
+  - {correction: -0.1}
+  - {correction: 1.1}
 """)
 def test_settings_that_are_not_allowed(wrong):
     with pytest.raises(ParameterError):
