@@ -395,7 +395,7 @@ def quads_in_cells(
     if lengths_of(corners[NEXT] - corners).min() < cells * min_side:
         return _NONE
     to_image = homography(corners)
-    levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, -1)
+    levels = picture.at(mapped(_cell_samples(cells), to_image)).reshape(cells * cells, _SAMPLES**2)
     is_white = (pattern > 0).ravel()
     black = _quantile(levels[~is_white], _BLACK_SHARE)
     white = _quantile(levels[is_white], _WHITE_SHARE)
@@ -446,7 +446,7 @@ def _quads_within(
     polygon = scale * (outline - (left, top) + 0.5) - 0.5
     cv2.fillConvexPoly(inside, np.rint(polygon).astype(np.int32), 255)
     spread = np.clip((cell - black) * (_CONTRAST / contrast) + _BLACK_LEVEL, 0.0, 255.0)
-    grey = np.where(inside > 0, np.rint(spread), 255.0).astype(np.uint8)
+    grey = np.where(inside, np.rint(spread), 255.0).astype(np.uint8)
     outlines = []
     for threshold in _THRESHOLDS:
         limit = _BLACK_LEVEL + _CONTRAST * threshold

@@ -136,7 +136,7 @@ def _load(name: str) -> MarkerDictionary:
     bits_of = cv2.aruco.Dictionary.getBitsFromByteList
     data = np.stack([bits_of(entry[None], cells) for entry in source.bytesList])
     turned = np.stack([np.rot90(data, turns, axes=(1, 2)) for turns in range(4)], axis=1)
-    bits = turned.reshape(-1, cells * cells)
+    bits = turned.reshape(4 * len(data), cells * cells)
     # A product of ±1 is the number of equal bits less that of different ones. Leave out the
     # product of each marker with itself.
     signs = 2.0 * bits.astype(np.float32) - 1.0
@@ -171,8 +171,7 @@ def may_be_markers(picture: Picture, quads: ndarray, cells: int) -> ndarray:
     grey = np.einsum("pk,nk->np", _half_planes(cells), levels[:, : 2 * _RING])
     is_bright = levels > grey
     outside, border = levels[:, _OUTSIDE], levels[:, _BORDER]
-    typical = np.median(levels[:, : 2 * _RING].reshape(-1, 2, _RING), axis=2)
-    likely = typical[:, 0] - typical[:, 1] > _LEAST_TYPICAL_RISE
+    likely = np.median(outside, axis=1) - np.median(border, axis=1) > _LEAST_TYPICAL_RISE
     for is_right, share in (
         (outside > border, _FRAMED),
         (border < grey[:, _BORDER], _DARK),
@@ -261,7 +260,7 @@ def _refine_once(
     first = corners + outward * level[..., None]
     second = corners + edges + outward * (level + slope)[..., None]
     met = intersections(first, right_of(second - first))
-    seen = (weights > 0.0).sum(axis=-1) >= _LEAST_SEEN * _CROSSINGS
+    seen = np.count_nonzero(weights, axis=-1) >= _LEAST_SEEN * _CROSSINGS
     met[~(seen & (lengths >= _LEAST_SIDE)).all(axis=1)] = np.nan
     return met
 
@@ -320,7 +319,7 @@ def decode(
     side, each = dictionary.cells + 4, len(_OFFSETS)
     samples = _levels(picture, corners, _cell_places(dictionary.cells))
     # Data cells, border and one ring around.
-    levels = samples.reshape(-1, side, each, side, each).mean(axis=(2, 4))
+    levels = samples.reshape(len(corners), side, each, side, each).mean(axis=(2, 4))
     on_border = _second_ring(side)[1:-1, 1:-1]
     for index, cells in enumerate(_sharpened_cells(levels)):
         # The cells of a uniform square are NaN.
@@ -387,7 +386,7 @@ def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
     terms, products = _plane_terms(side)
     flat = levels.reshape(count, side * side)
     weights = chosen.reshape(flat.shape).astype(float)
-    matrix = np.einsum("np,qp->nq", weights, products).reshape(-1, 3, 3) + 1e-6 * np.eye(3)
+    matrix = np.einsum("np,qp->nq", weights, products).reshape(count, 3, 3) + 1e-6 * np.eye(3)
     right = np.einsum("np,qp->nq", weights * flat, terms)
     numbers = np.linalg.solve(matrix, right[..., None])[..., 0]
     return np.einsum("nq,qp->np", numbers, terms).reshape(levels.shape)
@@ -396,6 +395,6 @@ def _planes(levels: ndarray, chosen: ndarray) -> ndarray:
 @lru_cache
 def _plane_terms(side: int) -> tuple[ndarray, ndarray]:
     """Return 1, row, column (3, side²), and their products (9, side²)."""
-    row, column = np.indices((side, side), dtype=float).reshape(2, -1)
+    row, column = np.indices((side, side), dtype=float).reshape(2, side * side)
     terms = np.stack((np.ones_like(row), row, column))
-    return terms, (terms[:, None] * terms).reshape(9, -1)
+    return terms, (terms[:, None] * terms).reshape(9, side * side)

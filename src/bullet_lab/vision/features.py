@@ -24,7 +24,7 @@ def good_features(
     corners = cv2.goodFeaturesToTrack(grey, count, quality, distance)
     if corners is None:
         return np.empty((0, 3))
-    places = corners.reshape(-1, 2).astype(float)
+    places = corners[:, 0].astype(float)
     strength = cv2.cornerMinEigenVal(grey, 3)
     column, row = np.rint(places).astype(int).T
     return np.column_stack((places, strength[row, column]))
@@ -56,7 +56,7 @@ def harris_corners(
         return np.zeros(grey.shape, dtype=bool), np.empty((0, 3))
     peaks = cv2.dilate(response, np.ones((3, 3)))
     area = peaks > threshold * largest
-    row, column = np.nonzero((response == peaks) & (response > threshold * largest))
+    row, column = np.nonzero(area & (response == peaks))
     order = np.argsort(-response[row, column], kind="stable")
     row, column = row[order], column[order]
     return area, np.column_stack((column, row, response[row, column])).astype(float)

@@ -48,9 +48,9 @@ _LEAST_LIKENESS = 0.6
 # which smoothing lessens it.
 _CLEAN = 0.6
 _SMOOTHED = 0.37
-# Grey levels that an image should use, and the largest factor by which they are spread for it.
+# Grey levels that an image should use, and the fewest that are spread to that.
 _RANGE = 160.0
-_LARGEST_GAIN = 8.0
+_LEAST_RANGE = 20.0
 # Least contrast: standard deviations of noise, and grey levels.
 _CONFIDENCE = 9.0
 _LEAST_CONTRAST = 6.0
@@ -347,7 +347,7 @@ def _is_same_marker(first: Match, second: Match) -> bool:
 
 def _prepare(grey: ndarray, low: float, high: float, noise: float) -> tuple[ndarray, float]:
     """Return the image with more contrast and less noise, and the least contrast to look for."""
-    gain = float(np.clip(_RANGE / max(1.0, high - low), 1.0, _LARGEST_GAIN))
+    gain = max(1.0, _RANGE / max(_LEAST_RANGE, high - low))
     if gain > 1.0:
         middle = 0.5 * (low + high)
         table = np.clip(gain * (np.arange(256) - middle) + 127.5, 0.0, 255.0)

@@ -201,7 +201,7 @@ class _SquareFit(PoseFit):
         tilts = _TILTS @ scale.T
         tilts = tilts[tilts @ away <= 0.5 * (away @ away)]
         moves = tilts @ frame[4:]
-        residuals = self._moved_residuals(pose, moves) @ self._whitening[0].T
+        residuals = self._turned_residuals(pose, moves[:, 3:]) @ self._whitening[0].T
         in_basis = residuals @ basis[:, :4]
         by_basis = np.linalg.inv(upper[:4, :4]).T @ frame[:4]
         moves -= in_basis @ by_basis
@@ -214,18 +214,18 @@ class _SquareFit(PoseFit):
         squares *= _MARGIN + _ROUGH * faint
         return replace(pose, covariance=squares) if np.isfinite(squares).all() else pose
 
-    def _moved_residuals(self, pose: MarkerPose, moves: ndarray) -> ndarray:
-        """Return the residuals (n, 8), px, of a pose that is moved by (n, 6)."""
+    def _turned_residuals(self, pose: MarkerPose, turns: ndarray) -> ndarray:
+        """Return the residuals (n, 8), px, of a pose that is turned by (n, 3)."""
         turned = self._points @ pose.rotation.T
-        angles = np.linalg.norm(moves[:, 3:], axis=1)[:, None, None]
-        axes = moves[:, None, 3:] / np.maximum(angles, 1e-12)
+        angles = np.linalg.norm(turns, axis=1)[:, None, None]
+        axes = turns[:, None] / np.maximum(angles, 1e-12)
         # Rodrigues' formula.
         sine, cosine = np.sin(angles), np.cos(angles)
         points = cosine * turned + sine * np.cross(axes, turned)
         points += (1.0 - cosine) * (axes * turned).sum(axis=2, keepdims=True) * axes
-        points += (pose.translation + moves[:, :3])[:, None]
-        pixels, _ = projected(points.reshape(-1, 3), self._camera)
-        return pixels.reshape(len(moves), 8) - self._corners.ravel()
+        points += pose.translation
+        pixels, _ = projected(np.concatenate(points), self._camera)
+        return pixels.reshape(len(turns), 8) - self._corners.ravel()
 
 
 def _translation(turned: ndarray, rays: ndarray) -> ndarray:

@@ -195,13 +195,13 @@ def _fit(pixels: Pixels, picture: Picture, corners: ndarray, pattern: ndarray) -
         moved = linear.to_corners @ step[_SHAPE]
         corners = corners + moved.reshape(4, 2)
         is_late = done >= _FULL_STEPS
-        before, spread = spread, _next_spread(spread, step[-_SPREAD:], pixels.group > 1, is_late)
+        before, spread = spread, _next_spread(spread, step[-_SPREAD:], pixels.group != 1, is_late)
         blur = float(spread[:2].max())
         if not np.abs(corners - start).max() <= most_moved:
             return _Fitted(None, blur)
         if np.abs(moved).max() < _STILL and _is_same_blur(before, spread):
             break
-        if pixels.group > 1 and spread.max() > _SOFT:
+        if pixels.group != 1 and spread.max() > _SOFT:
             # In so much blur the few pixels across each edge see little of it.
             pixels, light = all_pixels(picture, corners, len(pattern), pixels.cut_off), None
     judged = _Judged(linear, step, corners)
@@ -282,7 +282,7 @@ class _Linearised:
 
     def _columns_of_light(self) -> ndarray:
         pixels, light = self.pixels, self.model.light
-        grouped = pixels.group > 1
+        grouped = pixels.group != 1
         if pixels.flooded is None:
             return light(grouped, not (grouped and pixels.valid.all()), pixels.cut_off)
         # Each group has a contrast of its own.
@@ -419,7 +419,7 @@ class _Judged:
             return float(np.square(sums[:, :, -1]).sum() / max(expected, 1.0))
 
         lines = pixels.own(self._linear.model.lines())
-        lines = np.tile(lines.reshape(pixels.group, -1)[pixels.group // 2], pixels.group)
+        lines = np.tile(np.split(lines, pixels.group)[pixels.group // 2], pixels.group)
         order = np.argsort(lines, kind="stable")[np.count_nonzero(lines < 0) :]
         starts = np.flatnonzero(np.diff(lines[order], prepend=-1)).tolist()
         pulled, ordered = pulls[:, order], rows[:, order].T

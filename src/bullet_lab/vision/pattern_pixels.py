@@ -38,8 +38,7 @@ _BEYOND = 1.3
 # its edges are.
 _SMALL = 30.0
 _MOST_PIXELS = 600
-# At most so many places along each cell's edge, and so many px to either side.
-_PLACES = 5
+# So many px to either side of a place of an edge.
 _REACH = 2
 _GROUP = 2 * _REACH + 1
 # All pixels of a large marker are used in an image with much blur; of one with a larger mean side,
@@ -139,7 +138,7 @@ class Pixels:
         if self.chosen is not None:
             kernel = _with_neighbours(shared)
             return self._filtered(columns, kernel, kernel)
-        if self.group > 1:
+        if self.group != 1:
             columns = _less_mean(columns, self.valid)
         return columns if self.flooded is None else self._less_pattern(columns, value)
 
@@ -191,11 +190,11 @@ def _less_mean(columns: ndarray, valid: ndarray) -> ndarray:
     """Return columns (m, n) less the mean of the valid pixels of each group; 0 for the others."""
     grouped = columns.reshape(len(columns), _GROUP, -1)
     if valid.all():
-        return (grouped - grouped.sum(axis=1, keepdims=True) / _GROUP).reshape(len(columns), -1)
-    valid = valid.reshape(_GROUP, -1).astype(float)
+        return (grouped - grouped.sum(axis=1, keepdims=True) / _GROUP).reshape(columns.shape)
+    valid = valid.reshape(grouped.shape[1:]).astype(float)
     grouped = valid * grouped
     means = grouped.sum(axis=1, keepdims=True) / np.maximum(valid.sum(axis=0), 1.0)
-    return (grouped - valid * means).reshape(len(columns), -1)
+    return (grouped - valid * means).reshape(columns.shape)
 
 
 def pixels_of(
@@ -270,7 +269,7 @@ def _edge_pixels(
     offsets = np.arange(-_REACH, _REACH + 1.0)[:, None, None]
     seen = np.rint(picture.seen(points + offsets * across)).astype(int)
     inside = ((seen >= 0) & (seen < picture.levels.shape[::-1])).all(axis=(0, 2))
-    seen = seen[:, inside].reshape(-1, 2)
+    seen = np.concatenate(seen[:, inside])
     levels = picture.levels[seen[:, 1], seen[:, 0]].astype(float)
     points = np.ascontiguousarray(picture.ideal(seen.astype(float)).T)
     by_group, valid, flooded = levels.reshape(_GROUP, -1), np.ones(len(levels), dtype=bool), None
@@ -279,7 +278,7 @@ def _edge_pixels(
         flooded = np.tile((by_group >= _BRIGHTEST).any(axis=0), _GROUP)
     elif (levels >= _BRIGHTEST).mean() >= _CLIPPED:
         valid = levels < _over_exposed(levels)
-        of_groups = valid.reshape(_GROUP, -1)
+        of_groups = valid.reshape(by_group.shape)
         over_exposed = bool((of_groups.any(axis=0) & ~of_groups.all(axis=0)).any())
     cut_off = over_exposed and cut_off
     valid |= cut_off
@@ -321,7 +320,7 @@ def _unit_edges(pattern: bytes, cells: int) -> tuple[ndarray, ndarray]:
     # 1 where white is beyond the edge, for those across each row and across each column.
     changes = np.diff(white[1:-1], axis=1), np.diff(white[:, 1:-1].T, axis=1)
     edges = np.count_nonzero(changes)
-    each = int(np.clip(_MOST_PIXELS / (_GROUP * edges), 2, _PLACES))
+    each = max(2, _MOST_PIXELS // (_GROUP * edges))
     along = (np.arange(each) + 0.5) / each
     points, normals = [], []
     for change, order in zip(changes, (1, -1)):
