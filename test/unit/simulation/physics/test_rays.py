@@ -59,7 +59,7 @@ def test_a_ray_ends_at_the_first_surface_that_it_meets(seed, nearest):
             assert nearest < distance <= FARTHEST
         start = origin + nearest * way
         around = [one for one in things.values() if inside(*one, start)]
-        way_before = np.linspace(nearest, min(distance, FARTHEST), 300)[:-1]
+        way_before = np.linspace(nearest, min(distance, FARTHEST), 100)[:-1]
         for shape, frame in things.values():
             if (shape, frame) in around and not isinstance(shape, Plane):
                 continue
