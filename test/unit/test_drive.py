@@ -231,3 +231,43 @@ def test_a_robot_that_friction_holds_is_turned_faster():
     held = [slowest.now(0.05) for _ in range(7)]
     assert held == pytest.approx([0.1] * 5 + [0.11, 0.121])
     assert [slowest.now(left) for left in (0.04, 0.0394)] == [slowest.speed] * 2
+
+
+def test_keeps_within_the_limits_of_speed_and_acceleration():
+    for goal in ((2.0, 0.5, 1.0), (-1.0, -0.2, -3.0)):
+        _, commands = drive_to(goal)
+        assert max(v for v, _ in commands) == pytest.approx(0.2, abs=1e-3)
+        assert min(v for v, _ in commands) >= -1e-9
+        assert max(abs(w) for _, w in commands) <= LIMITS.turn_speed
+        before = STANDSTILL
+        for v, w in commands[:-1]:
+            assert abs(v - before[0]) <= LIMITS.acceleration * PERIOD + 1e-9
+            assert abs(w - before[1]) <= LIMITS.turn_acceleration * PERIOD + 1e-9
+            before = (v, w)
+        assert commands[-1] == STANDSTILL
+        # The last command but one is a crawl.
+        assert abs(before[0]) < 0.05
+        assert abs(before[1]) < 0.15
+
+
+def test_the_heading_is_left_alone_where_nobody_wants_it():
+    pose, _ = drive_to((1.0, 0.0, 3.0), limits=replace(LIMITS, heading=False))
+    assert_at(pose, (1.0, 0.0, 0.0), LIMITS.tolerance, 0.1)
+
+
+def test_turns_on_the_spot_from_60_degrees_on_until_6_are_left():
+    driver = GoalDriver((1.0, 0.0, 0.0), GoalLimits(acceleration=0.01, turn_acceleration=0.1))
+    for degrees, ahead in ((59.5, 1), (60.5, 0), (6.5, 0), (5.5, 1), (6.5, 1), (59.5, 1)):
+        off = math.radians(degrees)
+        # So that it can brake.
+        turn = min(0.8, 2.0 * off) if ahead else min(math.sqrt(0.2 * off), 2.0 * off)
+        command = driver.command((0.0, 0.0, -off), 100.0)
+        assert command == pytest.approx((math.sqrt(0.02) * ahead * math.cos(off), turn))
+
+
+def test_another_goal_on_the_way_starts_from_the_present_speed():
+    driver = GoalDriver((-5.0, 0.0, 0.0), command=(0.2, 0.0))
+    v, _ = driver.command(ORIGIN, PERIOD)
+    assert v == pytest.approx(0.2 - LIMITS.acceleration * PERIOD)
+    driver.moving = STANDSTILL
+    assert driver.command(ORIGIN, PERIOD)[0] == 0.0

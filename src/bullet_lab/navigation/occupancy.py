@@ -256,7 +256,8 @@ class RobotCostmap:
                 f"the robot needs {self._least:.2f} m"
             )
         way = "way" if self._allow_unknown else "way over known floor"
-        return f"no {way} to ({x:.2f}, {y:.2f}) m is wide enough for a radius of {self._radius:.3g} m"
+        place, radius = f"({x:.2f}, {y:.2f}) m", f"{self._radius:.3g} m"
+        return f"no {way} to {place} is wide enough for a radius of {radius}"
 
     def values(self) -> OccupancyMap:
         """Return the costs as costmap_2d publishes them: 100 in the way, 99 too near, down to 0."""

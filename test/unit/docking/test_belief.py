@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import docking_standin as standin
 import numpy as np
+import pytest
 import yaml
 from alike import assert_as_before, lines_of
 from shared import cases
@@ -156,3 +157,13 @@ def test_as_many_of_the_docks_are_elsewhere_as_a_track_is_doubtful(real, share):
     track = SimpleNamespace(real=real, samples=lambda rng, count: np.full((count, 3), 50.0))
     belief.best = lambda: track
     assert np.mean(belief.samples(100)[:, 1] > 20.0) == share
+
+
+def test_short_steps_move_the_particles_as_one_long_step_does():
+    belief = Lookout().belief
+    before = belief.particles.poses
+    for count in range(1, 41):
+        belief.add_odometry(Odometry(0.05 * count, (1.5 + 0.01 * count, 0.0, 0.0)))
+    moved = belief.particles.poses - before
+    assert np.mean(moved, axis=0) == pytest.approx((-0.4, 0.0, 0.0), abs=0.01)
+    assert np.all(np.std(moved, axis=0) > 0.002)

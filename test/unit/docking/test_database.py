@@ -123,3 +123,17 @@ def test_errors_of_a_docked_robot_are_those_seen_from_the_dock(dock, robot, erro
     found = docking_errors(robot, dock, camera_ahead=0.16, docked_distance=0.4)
     expected = (*errors[:2], math.degrees(errors[2]))
     assert [found[name] for name in ERRORS] == pytest.approx(expected, abs=most)
+
+
+def test_the_error_of_a_pose_is_uniform_within_its_uncertainty_and_the_seeds_own():
+    uncertainty = DockUncertainty(0.3, math.radians(10.0))
+    drawn = np.array([drawn_error(uncertainty, 0.5, seed) for seed in range(400)])
+    most = np.array([0.15, 0.15, math.radians(5.0)])
+    assert (np.abs(drawn) <= most).all()
+    # 1 - 0.98 ** 400 is 1 - 3e-4.
+    assert (np.abs(drawn).max(axis=0) > 0.98 * most).all()
+    # Three standard errors of the mean of 400.
+    assert (np.abs(drawn.mean(axis=0)) < 3.0 * most / math.sqrt(3.0 * 400)).all()
+    assert drawn_error(uncertainty, 0.0, 1) == (0.0, 0.0, 0.0)
+    noise = np.random.default_rng(1).uniform(-1.0, 1.0, 3)
+    assert not np.isclose(drawn[1] / most, noise, atol=0.01).any()

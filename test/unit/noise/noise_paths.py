@@ -1,4 +1,4 @@
-"""Noise rules, and perfect paths that they act on.
+"""Noise rules, perfect paths that they act on, and a check of the errors that they make.
 
 Poses are x (m), y (m) and yaw (rad), shape (n+1, 3).
 """
@@ -55,3 +55,18 @@ def wandering(count=200, seed=4):
     moves[kind == 3] = 0.0
     moves[kind == 4, :2] = 2e-5
     return composed((3.0, -2.0, 3.0), moves)
+
+
+def assert_moments(sample, mean, covariance, quantile):
+    """Check mean and covariance of errors, shape (n, k), up to some standard deviations.
+
+    The standard deviation of a covariance is taken from the fourth moments of the sample, as the
+    errors need not be Gaussian.
+    """
+    rounding, root = 1e-12, math.sqrt(len(sample))
+    centred = sample - mean
+    limit = quantile * np.sqrt(np.diag(covariance)) / root
+    assert (np.abs(centred.mean(axis=0)) <= limit + rounding).all()
+    products = centred[:, :, None] * centred[:, None, :]
+    limit = quantile * products.std(axis=0) / root
+    assert (np.abs(products.mean(axis=0) - covariance) <= limit + rounding).all()

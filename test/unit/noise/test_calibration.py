@@ -160,3 +160,64 @@ def test_right_models_are_refused_in_one_of_20():
     refused = sum(not judged(RULES[2], "probabilistic", seed=seed).fits for seed in range(100))
     # Three tests with Bonferroni's limits: at most 5 %; 99.9 % of that.
     assert refused <= stats.binom.ppf(0.999, 100, 0.05)
+
+
+def test_nothing_is_an_estimate_that_an_interval_begins_at():
+    rule = ProbabilisticRule(0.02, 0.01, 0.03, 0.0)
+    # On the spot no noise would be seen, and 0 would be certain.
+    steps = drive()[np.hypot(*drive()[:, :2].T) > 0.0]
+    found = fit(Problem(drawn(rule, 20, steps=steps), "probabilistic"))
+    lowest, highest = intervals(found)[:, 3].T
+    # About half of the estimates are at the bound.
+    assert 3 <= (found.estimates[:, 3] == 0.0).sum() <= 17
+    assert (lowest[found.estimates[:, 3] == 0.0] == 0.0).all()
+    assert (highest < 0.03).all()
+    # An interval at its bound holds it more often than at 95 %.
+    assert (lowest == 0.0).sum() >= 17
+
+
+def test_what_the_steps_say_nothing_of_has_no_ends():
+    pairs = drawn(RULES[2], 1, steps=STRAIGHT)
+    found = fit(Problem(pairs, "probabilistic", ("base_error",)))
+    ends = dict(zip(found.problem.names, intervals(found)[0].tolist()))
+    assert ends["alpha1"] == ends["alpha4"] == [0.0, np.inf]
+    assert ends["base_error"] == [-np.inf, np.inf]
+    assert 0.015 < ends["alpha3"][0] < ends["alpha3"][1] < 0.06
+
+
+def test_without_noise_to_speak_of_systematic_errors_are_exact():
+    pairs = drawn(RateInvariantRule(1e-5), 1, errors=WRONG)
+    found = fit(Problem(pairs, "rate_invariant", SYSTEMATIC)).values()
+    for name in SYSTEMATIC:
+        assert found[name] == pytest.approx(getattr(WRONG, name), abs=2e-5)
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_the_right_model_fits(rule):
+    found = judged(rule, rule.name)
+    assert found.fits and found.words() == []
+    assert found.nees == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "rule, model, errors, why",
+    [
+        (RULES[0], "rate_invariant", None, "the errors are not Gaussian"),
+        (RULES[1], "report", None, "the errors are not Gaussian"),
+        # Nobody asked for them.
+        (
+            RateInvariantRule(0.005), "rate_invariant", SystematicErrors(0.0, 0.1),
+            "something systematic",
+        ),
+    ],
+)  # fmt: skip
+def test_a_wrong_model_does_not_fit(rule, model, errors, why):
+    found = judged(rule, model, errors)
+    assert not found.fits
+    assert any(why in said for said in found.words())
+    assert found.neighbours_p < 1e-3 or errors is None
+
+
+def test_noise_of_the_truth_that_nobody_says_is_seen_in_neighbours():
+    found = goodness_of(with_jitter(), "rate_invariant")
+    assert any("the truth's own noise" in said for said in found.words())

@@ -1,4 +1,11 @@
-"""Exact moments against a quadrature over the noise of three steps, and those of whole paths."""
+"""Exact moments against samples, and against a quadrature over the noise of three steps.
+
+Confidence: 99.9 % for the family of comparisons as a whole, shared out evenly (Bonferroni). Means
+and covariances have 3 + 6 entries for 4 models, 10 levels with noise, 2 paths and 2 kinds of
+coordinates, 1,440 in all: each is two-sided at 0.001 / 1,440, 5.0 standard deviations. The
+sampling error of a covariance is taken from the fourth moments, as the errors are not Gaussian at
+high levels.
+"""
 
 import math
 from pathlib import Path
@@ -7,7 +14,7 @@ import numpy as np
 import pytest
 from alike import assert_as_before, lines_of
 from noise_checks import drawn_errors
-from noise_paths import composed, line, square
+from noise_paths import assert_moments, composed, line, square
 from numpy.polynomial.hermite_e import hermegauss
 from numpy.testing import assert_allclose
 from scipy import stats
@@ -32,6 +39,12 @@ from bullet_lab.studies.noise_study.study import StudySettings
 # Those of the study, and noise in which nothing of the path is left.
 LEVELS = (*StudySettings().levels, 10.0)
 PATHS = 10_000
+FAMILY = 0.001
+
+
+def quantile(comparisons):
+    """Return the limit of each comparison of a family, in standard deviations."""
+    return stats.norm.isf(0.5 * FAMILY / comparisons)
 
 
 PATHS_BY_NAME = {"square": square(), "line": line(4.0, 40)}
@@ -40,7 +53,6 @@ PATHS_BY_NAME = {"square": square(), "line": line(4.0, 40)}
 @pytest.mark.parametrize("name", PATHS_BY_NAME)
 @pytest.mark.parametrize("model", MODELS)
 def test_moments_are_as_before(name, model):
-    """As when the moments of 10,000 paths were within 5.0 of their standard deviations."""
     found = {}
     for std in LEVELS:
         steps = noisy_steps(PATHS_BY_NAME[name], level_rule(model, std))
@@ -159,3 +171,23 @@ def test_a_mean_of_blocks_is_the_mean_of_all():
 
 def test_bounds_are_quantiles_of_chi_square():
     assert_allclose(BOUNDS, stats.chi2.ppf([0.5, 0.95, 0.99], 3))
+
+
+@pytest.mark.parametrize("name", PATHS_BY_NAME)
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("std", LEVELS)
+def test_sample_moments_are_the_exact_ones(name, model, std):
+    steps = noisy_steps(PATHS_BY_NAME[name], level_rule(model, std))
+    errors = drawn_errors(steps, study_generator(50, model, std, 1.0), PATHS)
+    limit = quantile(2 * 9 * len(MODELS) * (len(LEVELS) - 1) * len(PATHS_BY_NAME))
+    exact, exponential = exact_moments(steps), exponential_moments(steps, [len(steps)])
+    assert_moments(errors, exact.mean[-1], exact.covariance[-1], limit)
+    coordinates = se2.logarithm(errors)
+    assert_moments(coordinates, exponential.mean[0], exponential.covariance[0], limit)
+
+
+def test_an_ellipse_holds_95_percent_of_a_gaussian():
+    covariance = np.array([[2.0, 0.7, 0.0], [0.7, 0.5, 0.0], [0.0, 0.0, 1.0]])
+    points = ellipse_points(covariance)
+    lengths = np.einsum("ni,ij,nj->n", points, np.linalg.inv(covariance[:2, :2]), points)
+    assert_allclose(lengths, stats.chi2.ppf(0.95, 2))

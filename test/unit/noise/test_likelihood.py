@@ -80,3 +80,10 @@ def test_the_likelihood_is_that_of_the_three_gaussians():
     problem = Problem(pairs, rule.name)
     coordinates = problem.coordinates(np.array([astuple(rule)]))
     assert problem.logarithm(coordinates) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_turn_on_the_spot_tells_both_rotations_together():
+    pairs = StepPairs(np.array([[0.0, 0.0, 0.5]]), np.array([[[0.0, 0.0, 0.6]]]))
+    ((found,),) = whitened(Problem(pairs, "rate_invariant"), np.array([[0.1]]))
+    assert np.isnan(found[0])
+    assert found[2] == pytest.approx(0.1 / np.sqrt(0.01 * 0.5))

@@ -9,6 +9,7 @@ import pytest
 from alike import assert_as_before, lines_of
 from noise_paths import drive, played, reported
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import cases
 
 from bullet_lab.core import se2
 from bullet_lab.core.se2 import atan2, hypot
@@ -164,3 +165,45 @@ def test_sampled_with_phases():
     stamps = np.arange(41) / 20
     indices = sampled(stamps, 2.0, [0.0, 0.12, 0.49])
     assert_array_equal(indices, [[0, 3, 10], [10, 13, 20], [20, 23, 30], [30, 33, 40]])
+
+
+def test_without_defects_going_backwards_still_counts_as_two_half_turns():
+    poses = drive(START, (1, (-1.0, 0.0, 0.0)))
+    error = noisy(poses)[1] - poses[1]
+    draw1 = draws(poses)[0, :, 1]
+    assert_allclose(np.sin(STD * math.pi * draw1) * -1.0, error[:, 1], rtol=0.5)
+    assert np.abs(mended(poses, 1)[1, 1]) < 1e-12 < np.abs(error[:, 1]).min()
+
+
+@cases("defects, steps: [[[], 100], [[aliasing], 1]]")
+def test_aliasing_forgets_the_error_of_the_step_before(defects, steps):
+    poses = drive(START, (100, (0.1, 0.0, 0.0)))
+    off = noisy(poses, *defects, seeds=range(300))[-1] - poses[-1]
+    rms = math.sqrt(np.mean(np.sum(off[:, :2] ** 2, axis=1)))
+    assert rms == pytest.approx(STD * 0.1 * math.sqrt(steps), rel=0.1)
+
+
+@cases("defects: [[], [unwrapped]]")
+def test_unwrapped_makes_noise_where_the_heading_passes_half_a_turn(defects):
+    poses = drive((0, 0, 3.0), (10, (0.1, 0.0, 0.05)))
+    passing = int(np.argmax(poses[:, 2] < 0.0))
+    errors = np.abs(se2.between(poses[:, np.newaxis], noisy(poses, *defects))[..., 2])
+    assert errors[passing - 1].max() < 0.05
+    assert (np.median(errors[passing]) > 0.2) == bool(defects)
+
+
+def test_noise_at_rest_turns_a_robot_that_stands_still():
+    poses = drive((1.0, 2.0, 1.5), REST)
+    still = noisy(poses)
+    assert np.abs(still - still[0]).max() < 1e-12
+    turned = noisy(poses, "noise_at_rest")
+    assert np.std(turned[-1, :, 2]) > 0.3
+    assert (turned[..., :2] == poses[0, :2]).all()
+
+
+@cases("defects, bends: [[[], 1.0], [[unbent], 0.0]]")
+def test_unbent_keeps_the_direction_whatever_the_heading(defects, bends):
+    replay = noisy(drive(START, (10, (0.0, 0.0, 0.15)), (20, (0.1, 0.0, 0.0))), *defects)
+    way = replay[-1] - replay[10]
+    direction = np.arctan2(way[:, 1], way[:, 0]) - 1.5
+    assert_allclose(direction, bends * (replay[10, :, 2] - 1.5), atol=1e-9)

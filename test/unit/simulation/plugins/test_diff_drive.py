@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sensor_worlds import drive, record
+from sensor_worlds import box, drive, record, steps
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.physics import pybullet
@@ -13,6 +13,7 @@ from bullet_lab.simulation.plugins.wheel_drives import DeadReckoning
 from bullet_lab.simulation.world.description import PluginTag
 from bullet_lab.simulation.world.urdf import read_urdf_file
 
+FILENAME = "libgazebo_ros_diff_drive.so"
 RADIUS, TRACK, MASS, WHEEL_MOMENT, G = 0.14, 0.38, 9.85, 4.9e-3, 9.8
 # What a force has to move ahead: the robot, and both wheels' rotation.
 ROLLING_MASS = MASS + 2.0 * WHEEL_MOMENT / RADIUS**2
@@ -37,8 +38,8 @@ def model(package):
 def spawn(world, model):
     """Put the camera robot into the world, with a diff_drive of the given tags and no more."""
 
-    def add(pose=Pose(), links=model.links, **tags):  # noqa: B008
-        plugin = PluginTag("libgazebo_ros_diff_drive.so", "drive", {**TAGS, **tags})
+    def add(pose=Pose(), links=model.links, file=FILENAME, **tags):  # noqa: B008
+        plugin = PluginTag(file, "drive", {**TAGS, **tags})
         return world.add(replace(model, plugins=(plugin,), links=links), pose=pose)
 
     return add
@@ -147,3 +148,69 @@ def test_commands_that_are_not_finite_are_refused(spawn):
     for bad in (PlanarCommand(vx=math.nan), PlanarCommand(wz=1e300)):
         with pytest.raises(PluginError, match="is not finite"):
             robot.command("cmd_vel", bad)
+
+
+@pytest.mark.parametrize("file", [FILENAME, "libcreate_diff_drive.so"])
+def test_commands_act_at_the_next_update_and_are_latched(world, spawn, file):
+    robot = spawn(file=file)
+    world.run_until(51)
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_until(100)
+    assert speeds(robot) == pytest.approx((0, 0), abs=1e-4)
+    world.run_until(110)
+    # By its own speed: the wheels' includes how the body leans back on its springs.
+    (body,) = robot.bodies.values()
+    assert body.velocity()[0][0] == pytest.approx(ACCELERATION * 0.01, rel=0.01)
+    world.run_until(3000)
+    assert speeds(robot) == pytest.approx((0.2, 0.2), abs=1e-3)
+    assert robot.pose().position[0] == pytest.approx(way(0.2, 2.9), abs=1e-3)
+
+
+def test_the_defaults_are_gazebos(world, model):
+    renamed = {"left_wheel_joint": "left_joint", "right_wheel_joint": "right_joint"}
+    joints = tuple(replace(joint, name=renamed[joint.name]) for joint in model.joints)
+    robot = world.add(replace(model, joints=joints, plugins=(PluginTag(FILENAME, "drive", {}),)))
+    samples = record(robot, "odom")
+    assert [output.topic for output in robot.plugins[0].outputs] == ["odom", "/tf"]
+    robot.command("cmd_vel", PlanarCommand(vx=0.15, wz=0.5))
+    world.run_until(11)
+    (body,) = robot.bodies.values()
+    assert body.joint_state("right_joint").effort == pytest.approx(5.0)
+    world.run_until(1000)
+    assert steps(samples) == list(range(10, 1001, 10))
+    assert (samples[0].frame, samples[0].child_frame) == ("odom", "base_footprint")
+    # Separation 0.34 m, diameter 0.15 m; its real wheels are larger.
+    expected = np.array([0.15 - 0.5 * 0.17, 0.15 + 0.5 * 0.17]) * RADIUS / 0.075
+    assert speeds(robot) == pytest.approx(expected, rel=5e-3)
+
+
+def test_odometry_of_the_world(world, spawn):
+    world.add(box("4 4 0.2", "5 5 0.1 0 0 0"))
+    robot = spawn(Pose.from_rpy((5.0, 5.0, 0.2), (0.0, 0.0, math.pi / 2)))
+    samples = record(robot, "odom")
+    drive(world, robot, 2.0, vx=0.2, wz=0.4)
+    last = samples[-1]
+    assert last.pose == robot.pose()
+    assert robot.plugins[0].origin == Pose()
+    assert last.pose.position[2] == pytest.approx(0.2, abs=1e-4)
+    # Of the base frame's origin; the centre of mass, 5 cm ahead of it, moves sideways as well.
+    assert (last.velocity.vx, last.velocity.vy) == pytest.approx((0.2, 0.0), abs=5e-4)
+    assert last.velocity.wz == pytest.approx(0.4, abs=1e-3)
+    assert last.pose_variances == (1e-5, 1e-5, 1e12, 1e12, 1e12, 1e-3)
+
+
+def test_encoders_agree_with_the_world_where_nothing_slips(world, spawn):
+    start = Pose.from_rpy((1.0, 2.0, 0.0), (0.0, 0.0, 0.7))
+    robot = spawn(start, odometrySource="encoder")
+    samples, transforms = record(robot, "odom"), record(robot, "/tf")
+    # Reverse reads negative.
+    for v, w in ((0.3, 0.2), (-0.2, 0.5), (0.0, -1.0)):
+        drive(world, robot, 1.0, v, w)
+        last = samples[-1]
+        assert (transforms[-1].step, transforms[-1].pose) == (last.step, last.pose)
+        driven = robot.plugins[0].origin.inverse() * robot.pose()
+        assert last.pose.position[:2] == pytest.approx(driven.position[:2], abs=3e-3)
+        assert last.pose.position[2] == 0.0
+        assert last.pose.yaw == pytest.approx(driven.yaw, abs=4e-3)
+        assert last.velocity.vx == pytest.approx(v, abs=2e-3)
+        assert (last.velocity.vy, last.velocity.wz) == pytest.approx((0, w), abs=5e-3)

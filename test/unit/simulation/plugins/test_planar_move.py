@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 from sensor_worlds import box, drive, record, steps
-from shared import cases
+from shared import BLOCK_ROBOT, cases
 
 from bullet_lab.core.pose import Pose
 from bullet_lab.simulation.plugins import PluginError
@@ -14,6 +14,7 @@ from bullet_lab.simulation.world.urdf import read_urdf
 
 FRICTION_LOSS = 9.8e-3  # m/s at each step of 1 ms
 HALF = 0.05
+RADIUS = 0.0102
 
 
 def block(tags="", more=""):
@@ -150,3 +151,35 @@ def test_p3d_and_imu_tell_the_commanded_velocity_of_a_robot_that_friction_slows_
     assert math.hypot(*imu[0].specific_force) == pytest.approx(10.0, abs=0.01)
     # While it sets out with 0.2 m/s, friction leaves 0.19 m/s on average.
     assert math.dist(robot.pose().position, (0.0, 0.0, 0.0)) == pytest.approx(0.019, abs=1e-4)
+
+
+def test_a_command_is_latched_and_loses_friction(world, robot):
+    x, y, _ = drive(world, robot, 2.0, vx=0.2, vy=-0.1).position
+    speed = math.hypot(0.2, 0.1) - FRICTION_LOSS
+    assert math.hypot(x, y) == pytest.approx(2.0 * speed, abs=2e-4)
+    assert y / x == pytest.approx(-0.5, abs=1e-3)
+
+
+def test_a_turn_loses_the_moment_of_the_patch(world, robot):
+    turned = drive(world, robot, 1.0, wz=-0.5236)
+    lost = 4.51 * 9.8 * RADIUS * 1e-3 / 7.5125e-3
+    assert turned.yaw == pytest.approx(-(0.5236 - lost), abs=5e-4)
+    assert math.hypot(*turned.position[:2]) < 1e-4
+
+
+def test_velocities_turn_with_the_robot(world):
+    robot = world.spawn(BLOCK_ROBOT, pose=Pose.from_rpy((1, 2, 0), (0, 0, math.pi / 2)))
+    samples = record(robot, "odom")
+    drive(world, robot, 0.1, vx=0.2, vy=0.05, wz=0.3)
+    x, y, _ = robot.pose().position
+    assert y > 2.015
+    assert x < 0.998
+    drive(world, robot, 0.2, vx=0.2)
+    told = dataclasses.astuple(samples[-1].velocity)
+    assert told == pytest.approx((0.2 - FRICTION_LOSS, 0.0, 0.0), abs=1e-3)
+
+
+def test_a_command_moves_the_robot_in_the_very_next_step(world, robot):
+    robot.command("cmd_vel", PlanarCommand(vx=0.2))
+    world.run_until(1)
+    assert robot.pose().position[0] == pytest.approx(1e-3 * (0.2 - FRICTION_LOSS), rel=0.06)

@@ -3,6 +3,8 @@
 A change that means to send others renews the text: see `assert_as_before`.
 """
 
+import cmath
+import math
 from pathlib import Path
 
 import pytest
@@ -32,17 +34,30 @@ def controller_of(world, name, robot="bot", parameters=(), hardware=None, spawne
     return run(manager, name, **{**usual, **dict(parameters)})
 
 
-def test_states_are_as_before(caplog):
+def check_drive(driven, told, velocity, seconds):
+    """Compare a drive and the velocity that odometry tells with what was commanded."""
+    ahead, left, turn = velocity
+    half = 0.5 * turn * seconds
+    chord = seconds * (math.sin(half) / half if half else 1.0) * cmath.rect(1.0, half)
+    there = complex(ahead, left) * chord
+    # The forks turn first.
+    assert driven.position[:2] == pytest.approx((there.real, there.imag), abs=0.035)
+    assert driven.yaw == pytest.approx(turn * seconds, abs=0.06)
+    assert (told.vx, told.vy, told.wz) == pytest.approx(velocity, abs=0.02)
+
+
+def test_states_are_as_before_and_commands_are_followed(caplog):
     told = []
     for name, given in CASES.items():
         case = dict(given)
-        steps = case.pop("steps", [[[0.8], 0.45]])
+        steps, followed = case.pop("steps", [[[0.8], 0.45]]), case.pop("as_commanded", False)
         with Simulation.of(FLOOR) as world:
             controller = controller_of(world, name, **case)
             (*_, robot) = world.models.values()
             told += lines_of([one.name for one in controller.joints], name)
             samples = {output.topic: listen(output) for output in controller.outputs}
             for command, seconds in steps:
+                before = robot.pose()
                 for entry in controller.inputs[-1:]:
                     entry.handle(WAY if entry.kind is Trajectory else entry.kind(*command))
                 world.run_for(seconds)
@@ -51,6 +66,10 @@ def test_states_are_as_before(caplog):
                     for one in controller.handles.values()
                 ]
                 told += lines_of([robot.pose(), *joints], name)
+            if followed:
+                odometry = next(k for topic, k in samples.items() if topic.endswith("odom"))
+                driven = before.inverse() * robot.pose()
+                check_drive(driven, odometry[-1].velocity, command, seconds)
         for topic, found in samples.items():
             told += [f"{topic}: {len(found)}", *lines_of(found[-1:], topic)]
     told += caplog.messages
