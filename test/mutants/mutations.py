@@ -70,10 +70,15 @@ class Mutant:
 
 def nodes_of(tree):
     """Return the nodes that run: no annotations, decorators, docstrings and texts."""
-    found = []
+    found, left_out = [], []
 
     def visit(node):
+        if node in left_out:
+            return
         found.append(node)
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "reshape":
+            # Of -1; any negative number is the length that is left.
+            left_out.extend(one.operand for one in node.args if isinstance(one, ast.UnaryOp))
         for name, value in ast.iter_fields(node):
             if name in ("annotation", "returns", "decorator_list"):
                 continue
@@ -133,7 +138,9 @@ def mutations(node, reals):
         opposite = ast.UnaryOp(op=ast.Not(), operand=node.test)
         yield "condition to its opposite", replaced(node, test=opposite)
     elif isinstance(node, ast.Return) and node.value is not None:
-        if not (isinstance(node.value, ast.Constant) and node.value.value is None):
+        value = node.value.value if isinstance(node.value, ast.Constant) else ...
+        # To nearly every caller, None and False say the same.
+        if value is not None and value is not False:
             yield "return value to None", replaced(node, value=ast.Constant(None))
     elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
         yield "call left out", ast.Pass()

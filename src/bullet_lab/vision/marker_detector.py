@@ -301,7 +301,7 @@ class MarkerDetector:
     def _fit(self, match: Match, picture: Picture) -> PatternFit:
         if self.settings.refine != "pattern":
             spread = _DEVIATIONS[self.settings.refine]
-            return PatternFit(match.corners, spread**2 * np.eye(8), 0.0)
+            return PatternFit(match.corners, spread**2 * np.eye(8))
         pattern = self.dictionary.pattern(match.marker)
         corners = without_hidden_side(picture, match.corners, pattern)
         fit = fit_pattern(picture, corners, pattern)

@@ -109,7 +109,7 @@ class PatternFit:
 
     corners: ndarray
     covariance: ndarray
-    hidden: float
+    hidden: float = 0.0
 
 
 def fit_pattern(picture: Picture, corners: ndarray, pattern: ndarray) -> PatternFit | None:
