@@ -139,8 +139,8 @@ def mutations(node, reals):
         yield "condition to its opposite", replaced(node, test=opposite)
     elif isinstance(node, ast.Return) and node.value is not None:
         value = node.value.value if isinstance(node.value, ast.Constant) else ...
-        # To nearly every caller, None and False say the same.
-        if value is not None and value is not False:
+        # To nearly every caller, None, False and an empty text say the same.
+        if not (value is None or value is False or value == ""):
             yield "return value to None", replaced(node, value=ast.Constant(None))
     elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
         yield "call left out", ast.Pass()

@@ -11,7 +11,7 @@ from alike import assert_as_before, lines_of
 from shared import cases
 
 from bullet_lab.core import se2
-from bullet_lab.docking.belief import DockBelief, _association_cost
+from bullet_lab.docking.belief import DockBelief, _association_cost, _inside
 from bullet_lab.docking.geometry import MarkerVisibility, Viewpoint, extent_of
 from bullet_lab.docking.types import Observation, Odometry, Sighting
 
@@ -167,3 +167,15 @@ def test_short_steps_move_the_particles_as_one_long_step_does():
     moved = belief.particles.poses - before
     assert np.mean(moved, axis=0) == pytest.approx((-0.4, 0.0, 0.0), abs=0.01)
     assert np.all(np.std(moved, axis=0) > 0.002)
+
+
+@cases("""
+left, top, right, bottom, within:
+  - [3.0, 5.0, 600.0, 470.0, 3.0]
+  - [9.0, -1.0, 600.0, 470.0, -1.0]
+  - [9.0, 9.0, 637.0, 470.0, 2.0]
+  - [9.0, 9.0, 630.0, 478.5, 0.5]
+""")
+def test_how_far_corners_are_within_an_image(left, top, right, bottom, within):
+    corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+    assert _inside(corners, standin.CAMERA) == pytest.approx(within)

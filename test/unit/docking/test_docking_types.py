@@ -33,6 +33,10 @@ def test_what_odometry_tells_is_as_before():
     found["both"] = in_parts_per_million(step.then(motion_step(buffer.last, last)))
     asked = 2.75, 2.8 - 5e-6, 2.8 - 5e-7, 3.2 - 5e-10, 3.2, 3.21, 3.55, 4.3, 5.6, 7.0
     found["at"] = {stamp: buffer.pose_at(stamp) for stamp in asked}
+    # Of messages from long before the last, one stays.
+    for stamp in (8.0, 9.0, 99.0):
+        buffer.add(Odometry(stamp, (stamp, 0.0, 0.0)))
+    found["late"] = {stamp: buffer.pose_at(stamp) for stamp in (8.9, 9.1)}
     assert_as_before(lines_of(found, ""), Path(__file__).with_name("odometry.txt"))
 
 
