@@ -73,7 +73,7 @@ def grey(pixels: ndarray, encoding: str = "") -> ndarray:
 
 def grid(x: ndarray, y: ndarray) -> ndarray:
     """Return the points (n m, 2) whose coordinates are each of (n,) and (m,) values, row by row."""
-    return np.concatenate(np.stack(np.meshgrid(x, y), axis=-1))
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
 def sample(image: ndarray, points: ndarray) -> ndarray:

@@ -224,7 +224,7 @@ class _SquareFit(PoseFit):
         points = cosine * turned + sine * np.cross(axes, turned)
         points += (1.0 - cosine) * (axes * turned).sum(axis=2, keepdims=True) * axes
         points += pose.translation
-        pixels, _ = projected(np.concatenate(points), self._camera)
+        pixels, _ = projected(points.reshape(-1, 3), self._camera)
         return pixels.reshape(len(turns), 8) - self._corners.ravel()
 
 

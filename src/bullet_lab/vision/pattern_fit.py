@@ -419,7 +419,7 @@ class _Judged:
             return float(np.square(sums[:, :, -1]).sum() / max(expected, 1.0))
 
         lines = pixels.own(self._linear.model.lines())
-        lines = np.tile(np.split(lines, pixels.group)[pixels.group // 2], pixels.group)
+        lines = np.tile(lines.reshape(pixels.group, -1)[pixels.group // 2], pixels.group)
         order = np.argsort(lines, kind="stable")[np.count_nonzero(lines < 0) :]
         starts = np.flatnonzero(np.diff(lines[order], prepend=-1)).tolist()
         pulled, ordered = pulls[:, order], rows[:, order].T

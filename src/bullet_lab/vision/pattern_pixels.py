@@ -269,7 +269,7 @@ def _edge_pixels(
     offsets = np.arange(-_REACH, _REACH + 1.0)[:, None, None]
     seen = np.rint(picture.seen(points + offsets * across)).astype(int)
     inside = ((seen >= 0) & (seen < picture.levels.shape[::-1])).all(axis=(0, 2))
-    seen = np.concatenate(seen[:, inside])
+    seen = seen[:, inside].reshape(-1, 2)
     levels = picture.levels[seen[:, 1], seen[:, 0]].astype(float)
     points = np.ascontiguousarray(picture.ideal(seen.astype(float)).T)
     by_group, valid, flooded = levels.reshape(_GROUP, -1), np.ones(len(levels), dtype=bool), None

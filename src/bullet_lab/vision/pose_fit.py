@@ -133,7 +133,7 @@ class PoseFit:
         residuals = (pixels - self._corners).ravel()
         scaled = self._whitening @ residuals.reshape(-1, 8, 1)
         jacobian = self._whitening @ by_pose.reshape(-1, 8, 6)
-        return residuals, scaled.ravel(), np.concatenate(jacobian)
+        return residuals, scaled.ravel(), jacobian.reshape(-1, 6)
 
 
 def _whitening(covariance: ndarray) -> ndarray:

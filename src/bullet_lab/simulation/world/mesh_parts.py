@@ -173,8 +173,7 @@ def _wavefront_look(statements: dict[str, str], path: Path, report: Report) -> A
         found = finite(statements.get(key, "").split())
         return found if len(found) == count else ()
 
-    shares = (1.0 - share for share in numbers("Tr", 1))
-    opacity, *_ = (*numbers("d", 1), *shares, WHITE[3])
+    (opacity,) = numbers("d", 1) or [1.0 - share for share in numbers("Tr", 1)] or [1.0]
     name, texture = statements.get("map_Kd", ""), None
     if name:
         # Options such as "-s 1 1 1" may stand before the name.

@@ -228,10 +228,8 @@ class Tag(ElementReader):
 
     def inertia(self, mass: float, moment: float) -> Inertia:
         """Return the inertia in an <inertial>; `moment` is the default of its diagonal, kg m²."""
-        moments = {
-            key: self.number(f"inertia/{key}", moment if key[1] == key[2] else 0.0)
-            for key in INERTIA_KEYS
-        }
+        defaults = zip(INERTIA_KEYS, 3 * (moment,) + 3 * (0.0,))
+        moments = {key: self.number(f"inertia/{key}", default) for key, default in defaults}
         return inertia_at(self.pose(), mass, moments)
 
 
